@@ -1,0 +1,145 @@
+"""Draws: from a seed to an Episode. Everything that is random about an episode is drawn here."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from diagrams.clearance import Clearance
+from diagrams.demonstration import GRASP_ABOVE_CENTRE, HOVER, SUBTASK_STEPS, commands, subtask_waypoints
+from diagrams.episode import DisturbanceDraw, Episode
+from diagrams.kinematics import HandKinematics
+from diagrams.scenario import SPOTS, ScenarioError, World
+from diagrams.station import ARM_JOINTS, CAN_HALF_HEIGHT
+
+UNLEARNED = (0.010, 0.020)  # distance of an unlearned position to the nearest trained one, m
+# Distance to the goal at which the disturbance begins, m. Subtask 1: the fingers do not surround the can yet; subtask 2: the can does not
+# touch the shelf yet.
+ONSET_LEVELS = {1: (0.10, 0.20), 2: (0.04, 0.16)}
+DEFLECTION_DEG = (15.0, 40.0)
+DEFLECTED_JOINTS = (3, 7)  # how many joints, inclusive
+STOP_TICKS = (15, 25)  # inclusive
+LIMIT_MARGIN = np.deg2rad(2.0)
+CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
+# Seeds of one purpose never meet those of another: an episode's seed is BASE[purpose] + its index.
+SEED_BASE = {"validation": 1_000_000, "evaluation": 2_000_000}
+
+
+class EpisodeDraws:
+    """Draws episodes; keeps the models it needs (kinematics, clearance), no state between draws."""
+
+    def __init__(self, world: World):
+        self._world = world
+        self._hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
+        self._clearance = Clearance()
+        self._spots = _spot_centres(world)
+
+    def draw(
+        self,
+        seed: int,
+        kind: str,
+        can_xy: tuple[float, float] | None = None,
+        vacant: str | None = None,
+        rnn: str = "lstm",
+    ) -> Episode:
+        """The episode of `seed`; `can_xy` (m, world) and `vacant` replace what would be drawn, without changing the rest of the draw.
+
+        Raises ScenarioError for a can that the arm cannot reach.
+        """
+        scene, experimenter = (np.random.default_rng([seed, stream]) for stream in (0, 1))
+        drawn_xy, drawn_vacant = self.unlearned_position(scene), str(scene.choice(SPOTS))
+        can_xy = drawn_xy if can_xy is None else (float(can_xy[0]), float(can_xy[1]))
+        vacant = drawn_vacant if vacant is None else vacant
+        if vacant not in SPOTS:
+            raise ScenarioError(f"there is no spot '{vacant}' on the shelf: choose one of {', '.join(SPOTS)}")
+        self.require_reachable(can_xy)
+        return Episode(seed, can_xy, vacant, self._disturbance(experimenter, kind, can_xy, vacant), rnn)
+
+    def require_reachable(self, can_xy: tuple[float, float]) -> None:
+        """Raises ScenarioError unless the hand can hover over, grasp and lift a can at `can_xy` (m, world)."""
+        if not np.all(np.isfinite(can_xy)):
+            raise ScenarioError(f"the can's position {can_xy} is not a pair of numbers: give x and y in metres")
+        lower, upper = self._world.grid.bounds
+        margin = 0.5 * self._world.grid.spacing
+        if np.any(np.asarray(can_xy) < lower - margin) or np.any(np.asarray(can_xy) > upper + margin):
+            raise ScenarioError(
+                f"the can at ({can_xy[0]:.3f}, {can_xy[1]:.3f}) m is out of reach of what was taught: "
+                f"choose x in [{lower[0] - margin:.2f}, {upper[0] + margin:.2f}] and y in [{lower[1] - margin:.2f}, {upper[1] + margin:.2f}]"
+            )
+        for height in (0.0, HOVER):
+            self._hand.solve(np.array([*can_xy, CAN_HALF_HEIGHT + GRASP_ABOVE_CENTRE + height]))
+
+    def unlearned_position(self, rng: np.random.Generator) -> tuple[float, float]:
+        """World x, y (m) inside the trained area, 1.0 to 2.0 cm from the nearest trained position."""
+        lower, upper = self._world.grid.bounds
+        trained = self._world.grid.training_positions()
+        while True:
+            xy = rng.uniform(lower, upper)
+            if UNLEARNED[0] <= np.linalg.norm(trained - xy, axis=1).min() <= UNLEARNED[1]:
+                return float(xy[0]), float(xy[1])
+
+    def _disturbance(
+        self, rng: np.random.Generator, kind: str, can_xy: tuple[float, float], vacant: str
+    ) -> DisturbanceDraw:
+        subtask = int(rng.integers(1, 3))
+        level = self._onset_level(rng, subtask, can_xy, vacant)
+        hold = int(rng.integers(STOP_TICKS[0], STOP_TICKS[1] + 1))
+        taken = subtask == 2 and rng.uniform() < CAN_TAKEN_SHARE
+        elsewhere = self.unlearned_position(rng)
+        if kind == "none":
+            return DisturbanceDraw()
+        if kind == "B":
+            return DisturbanceDraw("B", subtask, level, None, hold, elsewhere if taken else None)
+        if kind == "A":
+            target = self._deflected(rng, subtask, level, can_xy, vacant)
+            return DisturbanceDraw("A", subtask, level, tuple(float(q) for q in target), 10)
+        raise ScenarioError(f"there is no disturbance '{kind}': choose none, A or B")
+
+    def _onset_level(self, rng: np.random.Generator, subtask: int, can_xy: tuple[float, float], vacant: str) -> float:
+        """m: drawn again until the straight way home from there touches nothing."""
+        home = self._world.initial_posture[:ARM_JOINTS]
+        self._clearance.set_scene(can_xy if subtask == 1 else None, vacant)
+        for _ in range(100):
+            level = float(rng.uniform(*ONSET_LEVELS[subtask]))
+            if self._clearance.straight_way_touches(self._posture_at(subtask, level, can_xy, vacant), home) is None:
+                return level
+        raise RuntimeError(f"no moment of subtask {subtask} leaves a clear way home")
+
+    def _deflected(
+        self, rng: np.random.Generator, subtask: int, level: float, can_xy: tuple[float, float], vacant: str
+    ) -> np.ndarray:
+        """(7,) rad: a posture 15 to 40 deg off in several joints; drawn again until the ways there and home touch nothing."""
+        home = self._world.initial_posture[:ARM_JOINTS]
+        start = self._posture_at(subtask, level, can_xy, vacant)
+        self._clearance.set_scene(can_xy if subtask == 1 else None, vacant)
+        lower, upper = self._hand.lower + LIMIT_MARGIN, self._hand.upper - LIMIT_MARGIN
+        for _ in range(2000):
+            count = rng.integers(DEFLECTED_JOINTS[0], DEFLECTED_JOINTS[1] + 1)
+            joints = rng.choice(ARM_JOINTS, size=count, replace=False)
+            offset = np.zeros(ARM_JOINTS)
+            offset[joints] = rng.choice([-1.0, 1.0], size=count) * np.deg2rad(rng.uniform(*DEFLECTION_DEG, size=count))
+            target = start + offset
+            if np.any(target < lower) or np.any(target > upper):
+                continue
+            touches = self._clearance.straight_way_touches
+            if touches(target, target, 1) is None and touches(start, target) is None and touches(target, home) is None:
+                return target
+        raise RuntimeError(f"no posture to move the arm to was found from {np.rad2deg(start).round(1)} deg")
+
+    def _posture_at(self, subtask: int, level: float, can_xy: tuple[float, float], vacant: str) -> np.ndarray:
+        """(7,) rad: where the teacher would be when the approach distance falls below `level`."""
+        centre = np.array([*can_xy, CAN_HALF_HEIGHT]) if subtask == 1 else self._spots[vacant]
+        path = commands(subtask_waypoints(self._world, self._hand, centre, subtask), SUBTASK_STEPS[subtask - 1])[
+            :, :ARM_JOINTS
+        ]
+        offset = [0, 0, 0] if subtask == 1 else [0, 0, -GRASP_ABOVE_CENTRE]  # subtask 2 measures from the held can
+        for joints in path:
+            if np.linalg.norm(self._hand.grasp_position(joints) + offset - centre) < level:
+                return joints
+        raise RuntimeError(f"the demonstrated motion does not come within {level} m of its goal")
+
+
+def _spot_centres(world: World) -> dict[str, np.ndarray]:
+    from diagrams.station import PickPlaceStation
+
+    station = PickPlaceStation(world, camera=False)
+    return {name: station.spot(name) for name in SPOTS}

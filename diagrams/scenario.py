@@ -1,0 +1,149 @@
+"""What can be configured, as dataclasses: defaults here, a YAML file or the command line over them.
+
+Units: m, rad, s, N m unless a field's comment says otherwise; positions in the world frame (origin on the desk below the arm's axis, x ahead of
+the arm, y to its left, z up).
+"""
+
+# No `from __future__ import annotations` here: Drake reads the types of the fields.
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+SPOTS = ("left", "right")
+
+
+class ScenarioError(ValueError):
+    """Bad input: the message names the value, the limit and the remedy."""
+
+
+@dataclass
+class Timing:
+    """Periods of the loop."""
+
+    period: float = 0.1  # control tick, s (ten frames a second, Sec. IV-A)
+    time_step: float = 0.01  # step of the discrete plant, s
+
+
+@dataclass
+class Servo:
+    """Joint servo: Drake's implicit PD, one gain a joint, clamped at the arm's effort limits."""
+
+    stiffness: list[float] = field(
+        default_factory=lambda: [2500.0, 2500.0, 1200.0, 1200.0, 350.0, 350.0, 120.0]
+    )  # N m / rad
+    damping: list[float] = field(default_factory=lambda: [100.0, 100.0, 45.0, 45.0, 12.0, 12.0, 4.0])  # N m s / rad
+    finger_stiffness: float = 2000.0  # N / m
+    finger_damping: float = 40.0  # N s / m
+
+
+@dataclass
+class Camera:
+    """The fixed camera; a larger picture is averaged down to the network's 112 x 112 pixels (OpenCV's area filter)."""
+
+    width: int = 112  # pixels
+    height: int = 112  # pixels
+    field_of_view_deg: float = 43.0  # vertical
+
+
+@dataclass
+class Grid:
+    """Positions of the can on the desk (Sec. IV-A: 100 positions at intervals of 2 cm)."""
+
+    corner: list[float] = field(default_factory=lambda: [0.44, -0.09])  # x, y of position (0, 0), m
+    spacing: float = 0.02  # m
+    count: int = 10  # a side
+
+    def position(self, i: int, j: int) -> np.ndarray:
+        """World x, y (m) of grid position (i, j)."""
+        return np.asarray(self.corner) + self.spacing * np.array([i, j])
+
+    def is_training(self, i: int, j: int) -> bool:
+        """The split of the paper, 50 positions each: the checkerboard leaves the smallest holes between trained positions."""
+        return (i + j) % 2 == 0
+
+    def training_positions(self) -> np.ndarray:
+        """(50, 2) world x, y of the trained positions, m."""
+        return np.array(
+            [self.position(i, j) for i in range(self.count) for j in range(self.count) if self.is_training(i, j)]
+        )
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner of the trained area, m."""
+        lower = np.asarray(self.corner)
+        return lower, lower + self.spacing * (self.count - 1)
+
+
+@dataclass
+class Regulator:
+    """Weights of the LQR on the posture integrator m[k+1] = m[k] + dm[k]; 1 and 90 give a gain of 0.1 a tick."""
+
+    state_weight: float = 1.0
+    input_weight: float = 90.0
+
+
+@dataclass
+class World:
+    """Everything about the robot and its desk that an episode does not draw."""
+
+    timing: Timing = field(default_factory=Timing)
+    servo: Servo = field(default_factory=Servo)
+    camera: Camera = field(default_factory=Camera)
+    grid: Grid = field(default_factory=Grid)
+    regulator: Regulator = field(default_factory=Regulator)
+    # The initial posture, to which the arm returns after each subtask: seven joint angles (deg); it is also the LQR's target.
+    initial_joints_deg: list[float] = field(default_factory=lambda: [28.0, 30.0, 0.0, 83.0, 0.0, 62.0, 0.0])
+    opening: float = 0.08  # gap of the open fingers, m
+    closed_opening: float = 0.03  # commanded gap of the closed fingers, m: they stall on the can
+
+    @property
+    def initial_posture(self) -> np.ndarray:
+        """(8,) joint angles (rad) and open fingers (m)."""
+        return np.append(np.deg2rad(self.initial_joints_deg), self.opening)
+
+
+RNNS = ("lstm", "gru", "mtrnn")
+DISTURBANCES = ("none", "A", "B")
+
+
+@dataclass
+class Scenario:
+    """One episode and its world: what a scenario file can hold."""
+
+    rnn: str = "lstm"  # lstm, gru or mtrnn
+    disturbance: str = "A"  # none, A or B
+    seed: int = 0  # draws the can's position, the vacant spot, and the disturbance's moment and posture
+    can: list[float] | None = None  # X Y of the can to pick, m, world; drawn where not given
+    vacant: str | None = None  # left or right; drawn where not given
+    world: World = field(default_factory=World)
+
+    def check(self) -> None:
+        """Raises ScenarioError for a value outside its choices."""
+        for name, value, choices in (
+            ("rnn", self.rnn, RNNS),
+            ("disturbance", self.disturbance, DISTURBANCES),
+            ("vacant spot", self.vacant, (*SPOTS, None)),
+        ):
+            if value not in choices:
+                raise ScenarioError(f"there is no {name} '{value}': choose one of {', '.join(c for c in choices if c)}")
+        if self.seed < 0:
+            raise ScenarioError(f"the seed {self.seed} is negative: choose a whole number from 0 on")
+        if self.can is not None and len(self.can) != 2:
+            raise ScenarioError(f"the can's position {self.can} does not have two numbers: give x and y in metres")
+
+
+def load_scenario(path: Path) -> Scenario:
+    """The scenario in the YAML file `path`, over the defaults; raises ScenarioError for a key or a value that does not fit."""
+    from pydrake.common.yaml import yaml_load_typed
+
+    if not path.is_file():
+        raise ScenarioError(f"there is no scenario file {path}: check the name")
+    try:
+        return yaml_load_typed(schema=Scenario, filename=str(path), defaults=Scenario())
+    except Exception as error:  # the loader raises many types, each with its own words for what does not fit
+        reason = " ".join(str(error).split())
+        raise ScenarioError(
+            f"the scenario file {path} does not fit: {reason}; see Scenario in diagrams/scenario.py for its keys"
+        ) from error

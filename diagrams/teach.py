@@ -1,0 +1,229 @@
+"""Direct teaching, scripted: records the teacher's 200 demonstrations into one HDF5 file in robomimic's layout.
+
+    python diagrams/teach.py --out demonstrations.h5
+
+Each demonstration is subtask 1 followed by subtask 2, in physics, for one grid position and one vacant spot. A killed run goes on where it
+stopped; the same seed gives the same content.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import multiprocessing
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from diagrams.scenario import SPOTS, ScenarioError, World
+
+LAYOUT_VERSION = 1
+
+
+@dataclass
+class TeachArguments:
+    """Command line of teach.py."""
+
+    out: Path  # the HDF5 file; an unfinished one is completed
+    seed: int = 0  # draws how the cans are turned about their axes
+    workers: int = os.cpu_count() or 1  # processes
+    limit: int | None = None  # only so many demonstrations (for trying out)
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """One demonstration to give."""
+
+    index: int
+    grid_index: tuple[int, int]
+    vacant: str
+    training: bool
+    turn: float  # of the can to pick about its axis, rad
+
+
+def lessons(world: World, seed: int) -> list[Lesson]:
+    """All positions times both spots, in a fixed order."""
+    turns = np.random.default_rng(seed).uniform(-np.pi, np.pi, 2 * world.grid.count**2)
+    cells = [(i, j) for i in range(world.grid.count) for j in range(world.grid.count)]
+    return [
+        Lesson(n, cell, vacant, world.grid.is_training(*cell), float(turns[n]))
+        for n, (cell, vacant) in enumerate((cell, vacant) for cell in cells for vacant in SPOTS)
+    ]
+
+
+class Teacher:
+    """The station with the scripted teacher; built once a process, reused with fresh contexts."""
+
+    def __init__(self, world: World):
+        from pydrake.systems.analysis import Simulator
+
+        from diagrams.kinematics import HandKinematics
+        from diagrams.station import ARM_JOINTS, PickPlaceStation
+
+        self.world = world
+        self.station = PickPlaceStation(world)
+        self.simulator = Simulator(self.station)
+        self.hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
+
+    def give(self, lesson: Lesson) -> dict:
+        """Runs one lesson; returns rgb (T,112,112,3), posture (T,8), actions (T,8), can_xy, success."""
+        from diagrams import demonstration
+        from diagrams.episode import TaskMonitor
+        from diagrams.station import CAN_HALF_HEIGHT
+
+        world, station, simulator = self.world, self.station, self.simulator
+        can_xy = world.grid.position(*lesson.grid_index)
+        place = station.spot(lesson.vacant)
+        neighbour = station.spot(next(s for s in SPOTS if s != lesson.vacant))
+        monitor = TaskMonitor(place, neighbour, world.initial_posture)
+        goals = ([*can_xy, CAN_HALF_HEIGHT], place)
+        actions = np.vstack(
+            [
+                demonstration.commands(demonstration.subtask_waypoints(world, self.hand, goal, n + 1), steps)
+                for n, (goal, steps) in enumerate(zip(goals, demonstration.SUBTASK_STEPS, strict=True))
+            ]
+        )
+        simulator.reset_context(station.CreateDefaultContext())
+        context = simulator.get_mutable_context()
+        station.set_scene(context, can_xy, lesson.vacant, lesson.turn)
+        desired = station.GetInputPort("desired_posture")
+        desired.FixValue(context, world.initial_posture)
+        simulator.Initialize()
+        postures, images = [], []
+        for k, action in enumerate(actions):
+            simulator.AdvanceTo(k * world.timing.period)
+            postures.append(station.GetOutputPort("posture").Eval(context))
+            images.append(station.GetOutputPort("rgb_image").Eval(context).data[:, :, :3].copy())
+            desired.FixValue(context, action)
+        simulator.AdvanceTo(len(actions) * world.timing.period)
+        success = monitor.success(
+            station.GetOutputPort("can_poses").Eval(context), station.GetOutputPort("posture").Eval(context)
+        )
+        return {
+            "rgb": np.array(images),
+            "posture": np.array(postures),
+            "actions": actions,
+            "can_xy": can_xy,
+            "success": success,
+            "margin_deg": float(np.rad2deg(np.min([self.hand.margin(a[:-1]) for a in actions]))),
+        }
+
+
+_teacher: Teacher | None = None
+
+
+def _start_worker(world: World) -> None:
+    global _teacher
+    _teacher = Teacher(world)
+
+
+def _give(lesson: Lesson) -> tuple[Lesson, dict]:
+    assert _teacher is not None
+    return lesson, _teacher.give(lesson)
+
+
+def _write(file, lesson: Lesson, demo: dict) -> None:
+    name = f"demo_{lesson.index}"
+    partial = f"partial_{lesson.index}"
+    if partial in file:  # left by a kill in the middle of a write
+        del file[partial]
+    group = file.create_group(partial)
+    for key, array in (("obs/rgb", demo["rgb"]), ("obs/posture", demo["posture"]), ("actions", demo["actions"])):
+        group.create_dataset(
+            key, data=array, compression="gzip", compression_opts=1, chunks=(min(32, len(array)), *array.shape[1:])
+        )
+    from diagrams.demonstration import SUBTASK_STEPS
+
+    group.attrs.update(
+        num_samples=len(demo["actions"]),
+        can_xy=demo["can_xy"],
+        vacant=lesson.vacant,
+        grid_index=lesson.grid_index,
+        subtask_starts=(0, SUBTASK_STEPS[0]),
+        split="train" if lesson.training else "valid",
+        success=demo["success"],
+    )
+    file.move(partial, f"data/{name}")
+    file.flush()
+
+
+def content_hash(file) -> str:
+    """Hash of every demonstration's arrays and attributes, in order: equal for equal content, however it was written."""
+    digest = hashlib.sha256()
+    data = file["data"]
+    for name in sorted(data, key=lambda n: int(n.split("_")[1])):
+        digest.update(name.encode())
+        for key in ("obs/rgb", "obs/posture", "actions"):
+            digest.update(np.ascontiguousarray(data[name][key][()]).tobytes())
+        digest.update(json.dumps({k: np.asarray(v).tolist() for k, v in sorted(data[name].attrs.items())}).encode())
+    return digest.hexdigest()
+
+
+def main(arguments: TeachArguments) -> int:
+    """Records what is missing; returns 1 if the teacher itself failed somewhere."""
+    import h5py
+    from tqdm import tqdm
+
+    world = World()
+    todo = lessons(world, arguments.seed)[: arguments.limit]
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    settings = json.dumps(
+        {"world": dataclasses.asdict(world), "seed": arguments.seed, "layout": LAYOUT_VERSION}, sort_keys=True
+    )
+    with h5py.File(arguments.out, "a") as file:
+        data = file.require_group("data")
+        if data.attrs.get("env_args", settings) != settings:
+            raise ScenarioError(
+                f"{arguments.out} was recorded with another seed or another world: delete it or choose another --out"
+            )
+        data.attrs.update(
+            env_args=settings,
+            initial_posture=world.initial_posture,
+            period=world.timing.period,
+            posture_names=json.dumps([f"joint_{j + 1}" for j in range(7)] + ["opening"]),
+            seed=arguments.seed,
+        )
+        missing = [lesson for lesson in todo if f"demo_{lesson.index}" not in data]
+        if missing:
+            spawn = multiprocessing.get_context("spawn")
+            with ProcessPoolExecutor(
+                arguments.workers, mp_context=spawn, initializer=_start_worker, initargs=(world,)
+            ) as pool:
+                futures = [pool.submit(_give, lesson) for lesson in missing]
+                for future in tqdm(
+                    as_completed(futures),
+                    total=len(todo),
+                    initial=len(todo) - len(missing),
+                    unit="demo",
+                    desc="teaching",
+                ):
+                    _write(file, *future.result())
+        names = [f"demo_{lesson.index}" for lesson in todo]
+        failed = [name for name in names if not data[name].attrs["success"]]
+        if "mask" in file:
+            del file["mask"]
+        for split in ("train", "valid"):
+            file[f"mask/{split}"] = np.array([n.encode() for n in names if data[n].attrs["split"] == split])
+        data.attrs["total"] = int(sum(data[n].attrs["num_samples"] for n in names))
+        data.attrs["content_hash"] = content_hash(file)
+        print(
+            f"{len(names) - len(failed)} of {len(names)} demonstrations succeeded; content {data.attrs['content_hash'][:16]}"
+        )
+    if failed:
+        print(f"failed: {', '.join(failed)}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    import tyro
+
+    try:
+        sys.exit(main(tyro.cli(TeachArguments)))
+    except ScenarioError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

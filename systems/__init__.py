@@ -1,0 +1,18 @@
+"""What runs: one Drake LeafSystem a file, and the Diagrams that wire them.
+
+Knows arrays and Drake, and what `models/` offers; knows nothing of cans, desks and shelves (that is `diagrams/`).
+Every constructor argument is a physical quantity; everything that a system remembers is in its Context.
+
+=====================  =============================================================================================
+image_encoder          image -> features
+recurrent_policy       network input -> predicted posture and features, recalled postures (discrete state)
+posture_history        posture -> the postures of this tick and the N before it (discrete state)
+loop_closer            Eqs. 7 and 8: what the network is fed
+detector               Eqs. 5 and 6: recalled against measured postures -> alpha
+posture_regulator      Drake's LQR for the discrete posture integrator
+alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
+disturbance            moves or stops the arm in an experiment (discrete state)
+switching_law          the four systems that are pure mathematics, as one Diagram (converts to AutoDiffXd, Expression)
+switched_controller    all of the controller, as one Diagram
+=====================  =============================================================================================
+"""

@@ -1,0 +1,97 @@
+"""The switch itself (Eq. 3): the RNN's step fades out as alpha rises, the LQR's is always there."""
+
+import numpy as np
+from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from systems.elementwise import clamp
+from systems.validation import require_bounds, require_count, require_vector
+
+
+@TemplateSystem.define("AlphaMixer_")
+def AlphaMixer_(T):
+    class Impl(LeafSystem_[T]):
+        """dm = (1 - alpha) dm^R + dm^L, Eq. 3, and the command m_k + dm within the limits of speed and position.
+
+        .. pydrake_system::
+
+            name: AlphaMixer
+            input_ports:
+            - posture
+            - predicted_posture
+            - regulator_step
+            - alpha
+            output_ports:
+            - desired_posture
+            - rnn_step
+            - regulator_step
+            - step
+
+        Inputs (postures in the unit of the bounds, scaled or physical; steps in that unit per tick):
+            posture: (M,) m_k as sampled at the tick, so that the command is constant between ticks.
+            predicted_posture: (M,) m^R_{k+1}.
+            regulator_step: (M,) dm^L_k; 0 in the fingers, which therefore keep their command under alpha = 1.
+            alpha: (1,) alpha_k in [0, 1].
+        Outputs:
+            desired_posture: (M,) m_k + dm, dm clamped to +-max_step, then the sum to [lower, upper].
+            rnn_step: (M,) dm^R_k = m^R_{k+1} - m_k.
+            regulator_step: (M,) dm^L_k.
+            step: (M,) dm_k of Eq. 3, before clamping.
+        Direct feedthrough; scalar-convertible.
+
+        Constructor: keywords posture_size (M); lower, upper (M,), bounds of the command; max_step (M,) >= 0, largest
+        step a tick.
+        """
+
+        def _construct(
+            self, *, posture_size: int, lower: np.ndarray, upper: np.ndarray, max_step: np.ndarray, converter=None
+        ):
+            LeafSystem_[T].__init__(self, converter=converter)
+            size = require_count("posture_size", posture_size)
+            self._lower, self._upper = require_bounds("lower", lower, "upper", upper, size)
+            self._max_step = require_vector("max_step", max_step, size, minimum=0.0)
+            self._posture = self.DeclareVectorInputPort("posture", size)
+            self._predicted = self.DeclareVectorInputPort("predicted_posture", size)
+            self._regulator_step = self.DeclareVectorInputPort("regulator_step", size)
+            self._alpha = self.DeclareVectorInputPort("alpha", 1)
+            posture, predicted = self._posture.ticket(), self._predicted.ticket()
+            everything = {posture, predicted, self._regulator_step.ticket(), self._alpha.ticket()}
+            self.DeclareVectorOutputPort("desired_posture", size, self._calc_desired_posture, everything)
+            self.DeclareVectorOutputPort("rnn_step", size, self._calc_rnn_step, {posture, predicted})
+            self.DeclareVectorOutputPort(
+                "regulator_step", size, self._calc_regulator_step, {self._regulator_step.ticket()}
+            )
+            self.DeclareVectorOutputPort("step", size, self._calc_step, everything)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(
+                self,
+                posture_size=len(other._lower),
+                lower=other._lower,
+                upper=other._upper,
+                max_step=other._max_step,
+                converter=converter,
+            )
+
+        def _step(self, context):
+            alpha = self._alpha.Eval(context)[0]
+            rnn_step = self._predicted.Eval(context) - self._posture.Eval(context)
+            return (1.0 - alpha) * rnn_step + self._regulator_step.Eval(context)
+
+        def _calc_desired_posture(self, context, output):
+            step = clamp(self._step(context), -self._max_step, self._max_step)
+            output.SetFromVector(clamp(self._posture.Eval(context) + step, self._lower, self._upper))
+
+        def _calc_rnn_step(self, context, output):
+            output.SetFromVector(self._predicted.Eval(context) - self._posture.Eval(context))
+
+        def _calc_regulator_step(self, context, output):
+            output.SetFromVector(self._regulator_step.Eval(context))
+
+        def _calc_step(self, context, output):
+            output.SetFromVector(self._step(context))
+
+    return Impl
+
+
+AlphaMixer = AlphaMixer_[None]

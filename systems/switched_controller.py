@@ -1,0 +1,211 @@
+"""The whole controller: image and posture in, command out (Fig. 2), for any arm with any number of joints."""
+
+import numpy as np
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.primitives import AffineSystem
+
+from systems.detector import RecallDetector
+from systems.image_encoder import ImageEncoder
+from systems.posture_history import PostureHistory
+from systems.posture_regulator import lqr, make_posture_regulator
+from systems.recurrent_policy import RecurrentPolicy
+from systems.switching_law import SwitchingLaw
+from systems.validation import require_bounds, require_count, require_positive, require_vector
+
+
+class SwitchedController(Diagram):
+    """Follows the learned way while the network recalls what the arm did; else brings the arm to its initial posture.
+
+    .. pydrake_system::
+
+        name: SwitchedController
+        input_ports:
+        - rgb_image
+        - posture
+        output_ports:
+        - desired_posture
+        - alpha
+        - errors
+        - hidden_state
+        - predicted_posture
+        - predicted_features
+        - features
+        - rnn_step
+        - regulator_step
+        - recalled_postures
+        - posture_history
+
+    Inputs (read at the ticks only):
+        rgb_image: ImageRgba8U of image_width x image_height pixels.
+        posture: (M,) physical units: measured joint angles (rad), then the finger openings as commanded (m).
+    Outputs (physical units; constant between ticks; only `features` has direct feedthrough, of the image):
+        desired_posture: (M,) the command m_k + dm.
+        alpha: (1,) alpha_k; the loop closing of tick k uses alpha_{k-1}.
+        errors: (E,) of the detector; RecallDetector's are l_n / mean_l_n, n = 0 .. N.
+        hidden_state: (S,) c_k.
+        predicted_posture: (M,) m^R_{k+1}.
+        predicted_features: (F,) f^R_{k+1}, in [-1, 1].
+        features: (F,) of the image, in [-1, 1]. Encodes when pulled: pull it at a tick, where the update needs it too.
+        rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
+        recalled_postures: ((N + 1) M,) m^R_k, m^R_{k-1}, ..., m^R_{k-N}, *scaled*, row by row.
+        posture_history: ((N + 1) M,) m_k, m_{k-1}, ..., m_{k-N}, *scaled*, row by row.
+
+    Inside, postures are scaled to [-1, 1] by the bounds in the policy's weight file. An update at tick k reads image,
+    posture and alpha as they stand before it; the outputs after it are those of tick k. A publish event at the same
+    time comes before the update: it sees the features of tick k, and of all other outputs those of tick k - 1.
+    """
+
+    def __init__(
+        self,
+        encoder,
+        policy,
+        *,
+        regulator_Q,
+        regulator_R,
+        detector: System | None = None,
+        component_weights: np.ndarray | None = None,
+        joint_lower: np.ndarray,
+        joint_upper: np.ndarray,
+        speed_limits: np.ndarray,
+        period: float = 0.1,
+        joints: int | None = None,
+        image_width: int = 112,
+        image_height: int = 112,
+    ):
+        """
+        Args:
+            encoder, policy: see models/inference.py, or any objects like ImageEncoder and RecurrentPolicy ask for.
+            regulator_Q, regulator_R: cost of the deviation and of the step, see `systems.posture_regulator.lqr`. Their
+                gain must be `policy.regulator_gain`, with which the network was trained.
+            detector: any system with the ports that systems/detector.py lists, for scaled postures; default: a
+                RecallDetector with the calibration in the policy's weight file.
+            component_weights: (M,) of the default detector's mean over the components; must be those of the
+                calibration. Default: ones.
+            joint_lower, joint_upper: (M,) limits of the command, all components, physical units.
+            speed_limits: (M,) largest speed of the command, physical units/s.
+            period: T of the ticks, s.
+            joints: J, the first J components are brought home; default M - 1, the last being the finger opening.
+            image_width, image_height: of the image at the port, pixels.
+        """
+        super().__init__()
+        period = require_positive("period", period)
+        sizes = {name: getattr(policy, name) for name in ("posture_size", "feature_size", "horizon", "state_size")}
+        size = sizes["posture_size"]
+        joints = size - 1 if joints is None else require_count("joints", joints)
+        joint_lower, joint_upper = require_bounds("joint_lower", joint_lower, "joint_upper", joint_upper, size)
+        speed_limits = require_vector("speed_limits", speed_limits, size, minimum=0.0)
+        _check_fit(encoder, policy)
+        _check_gain(policy, lqr(joints, regulator_Q, regulator_R, period)[0])
+        if detector is None:
+            detector = _make_detector(policy, sizes, component_weights)
+        elif component_weights is not None:
+            raise ValueError(
+                "component_weights is given together with a detector, but only the default detector has them: give the "
+                "weights to your detector's own constructor."
+            )
+
+        scaling = policy.scaling
+        lower, upper = require_bounds("scaling.lower", scaling.lower, "scaling.upper", scaling.upper, size)
+        half_range, middle = (upper - lower) / 2.0, (upper + lower) / 2.0
+        initial = require_vector("policy.initial_posture", policy.initial_posture, size)
+        initial = (initial - middle) / half_range
+
+        builder = DiagramBuilder()
+
+        def affine(name: str, factor: np.ndarray, offset: np.ndarray) -> AffineSystem:
+            return builder.AddNamedSystem(name, AffineSystem(D=np.diag(factor), y0=offset))
+
+        image_encoder = builder.AddNamedSystem("image_encoder", ImageEncoder(encoder, image_width, image_height))
+        scale = affine("posture_scaling", 1.0 / half_range, -middle / half_range)
+        network = builder.AddNamedSystem("recurrent_policy", RecurrentPolicy(policy, period))
+        history = builder.AddNamedSystem(
+            "posture_history",
+            PostureHistory(posture_size=size, horizon=sizes["horizon"], period=period, initial_posture=initial),
+        )
+        regulator = make_posture_regulator(
+            posture_size=size, joints=joints, initial_posture=initial, Q=regulator_Q, R=regulator_R, period=period
+        )
+        law = builder.AddNamedSystem(
+            "switching_law",
+            SwitchingLaw(
+                **sizes,
+                detector=detector,
+                regulator=regulator,
+                lower=(joint_lower - middle) / half_range,
+                upper=(joint_upper - middle) / half_range,
+                max_step=speed_limits * period / half_range,
+            ),
+        )
+
+        builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
+        builder.ExportInput(scale.get_input_port(), "posture")
+        builder.Connect(scale.get_output_port(), law.GetInputPort("posture"))
+        builder.Connect(scale.get_output_port(), history.GetInputPort("posture"))
+        builder.Connect(image_encoder.GetOutputPort("features"), law.GetInputPort("features"))
+        builder.Connect(history.GetOutputPort("posture"), law.GetInputPort("sampled_posture"))
+        builder.Connect(history.GetOutputPort("posture_history"), law.GetInputPort("posture_history"))
+        for name in ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state"):
+            builder.Connect(network.GetOutputPort(name), law.GetInputPort(name))
+        builder.Connect(law.GetOutputPort("network_input"), network.GetInputPort("network_input"))
+
+        def export_physical(port, name: str, offset: np.ndarray) -> None:
+            unscale = affine(f"{name}_unscaling", half_range, offset)
+            builder.Connect(port, unscale.get_input_port())
+            builder.ExportOutput(unscale.get_output_port(), name)
+
+        export_physical(law.GetOutputPort("desired_posture"), "desired_posture", middle)
+        builder.ExportOutput(law.GetOutputPort("alpha"), "alpha")
+        builder.ExportOutput(law.GetOutputPort("errors"), "errors")
+        builder.ExportOutput(network.GetOutputPort("hidden_state"), "hidden_state")
+        export_physical(network.GetOutputPort("predicted_posture"), "predicted_posture", middle)
+        builder.ExportOutput(network.GetOutputPort("predicted_features"), "predicted_features")
+        builder.ExportOutput(image_encoder.GetOutputPort("features"), "features")
+        export_physical(law.GetOutputPort("rnn_step"), "rnn_step", np.zeros(size))  # a difference has no offset
+        export_physical(law.GetOutputPort("regulator_step"), "regulator_step", np.zeros(size))
+        builder.ExportOutput(network.GetOutputPort("recalled_postures"), "recalled_postures")
+        builder.ExportOutput(history.GetOutputPort("posture_history"), "posture_history")
+        builder.BuildInto(self)
+
+
+def _check_fit(encoder, policy) -> None:
+    """Raises ValueError if the policy was trained with another encoder, as far as the two tell."""
+    if encoder.feature_size != policy.feature_size:
+        raise ValueError(
+            f"The encoder gives {encoder.feature_size} features, the policy takes {policy.feature_size}: load the "
+            "encoder that the policy was trained with."
+        )
+    have, want = getattr(encoder, "hash", None), getattr(policy, "encoder_hash", None)
+    if have is not None and want is not None and have != want:
+        raise ValueError(
+            f"The encoder's file has the hash {have}, the policy was trained with {want}: load that encoder, or train "
+            "the policy again."
+        )
+
+
+def _check_gain(policy, gain: np.ndarray) -> None:
+    """Raises ValueError unless `gain` (J, J) is the policy's gain times the identity, to 1e-4 of it."""
+    trained = float(policy.regulator_gain)
+    if not np.allclose(gain, trained * np.eye(len(gain)), rtol=0.0, atol=1e-4 * abs(trained)):
+        raise ValueError(
+            f"regulator_Q and regulator_R give the LQR gain {np.array2string(gain, precision=6)}, the policy was "
+            f"trained with {trained:g} times the identity (limit: 1e-4 of that), and has learned the residual of it: "
+            "set Q and R of the training, or train again."
+        )
+
+
+def _make_detector(policy, sizes: dict, component_weights: np.ndarray | None) -> System:
+    """Returns the RecallDetector with the policy's calibration."""
+    if any(getattr(policy, name) is None for name in ("mean_errors", "beta", "gamma")):
+        raise ValueError(
+            "The policy has no calibration (mean_errors, beta, gamma), which the default detector needs: run the "
+            "calibration on its weight file, or pass a detector."
+        )
+    return RecallDetector(
+        posture_size=sizes["posture_size"],
+        horizon=sizes["horizon"],
+        state_size=sizes["state_size"],
+        mean_errors=policy.mean_errors,
+        beta=policy.beta,
+        gamma=policy.gamma,
+        component_weights=component_weights,
+    )

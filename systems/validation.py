@@ -1,0 +1,43 @@
+"""Checks of constructor arguments: each error names the value, the limit and the remedy."""
+
+import math
+
+import numpy as np
+
+
+def require_count(name: str, value: int, minimum: int = 1) -> int:
+    """Returns `value` as an int; raises ValueError unless it is a whole number >= `minimum`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
+        raise ValueError(f"{name} is {value!r}; it must be a whole number of at least {minimum}: pass such a number.")
+    return int(value)
+
+
+def require_positive(name: str, value: float) -> float:
+    """Returns `value` as a float; raises ValueError unless it is finite and > 0."""
+    if not math.isfinite(value) or value <= 0:
+        raise ValueError(f"{name} is {value!r}; it must be finite and greater than 0: pass such a number.")
+    return float(value)
+
+
+def require_vector(name: str, value, size: int, *, minimum: float | None = None, allow_nan: bool = False) -> np.ndarray:
+    """Returns a float copy of `value`, shape (size,); raises ValueError on another shape, on values that are not
+    finite (NaN passes if `allow_nan`), and on values < `minimum`."""
+    vector = np.array(value, dtype=float)
+    if vector.shape != (size,):
+        raise ValueError(f"{name} has shape {vector.shape}; it must have shape ({size},): pass one number a component.")
+    if not np.all(np.isfinite(vector) | (np.isnan(vector) if allow_nan else False)):
+        raise ValueError(f"{name} is {vector}; every component must be finite: remove NaN and infinite values.")
+    if minimum is not None and np.any(vector < minimum):
+        raise ValueError(f"{name} is {vector}; every component must be at least {minimum}: raise the smaller ones.")
+    return vector
+
+
+def require_bounds(lower_name: str, lower, upper_name: str, upper, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns `lower` and `upper`, shape (size,) each; raises ValueError unless lower < upper in every component."""
+    lower, upper = require_vector(lower_name, lower, size), require_vector(upper_name, upper, size)
+    if np.any(lower >= upper):
+        raise ValueError(
+            f"{lower_name} is {lower} and {upper_name} is {upper}; {lower_name} must be less than {upper_name} in "
+            f"every component: swap or widen component(s) {np.flatnonzero(lower >= upper).tolist()}."
+        )
+    return lower, upper

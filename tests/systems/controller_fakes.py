@@ -1,0 +1,139 @@
+"""Numpy stand-ins for the encoder and the policy, and a world with an arm that is a plain integrator."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantValueSource, LogVectorOutput
+from pydrake.systems.sensors import ImageRgba8U
+
+from systems.switched_controller import SwitchedController
+
+PERIOD = 0.1
+
+
+@dataclass(frozen=True)
+class FakeScaling:
+    """Like models.scaling.MinMaxScaling."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def scale(self, x):
+        return 2.0 * (np.asarray(x) - self.lower) / (self.upper - self.lower) - 1.0
+
+
+@dataclass
+class FakeEncoder:
+    """The mean intensity, times 1, 2, ... , as features."""
+
+    feature_size: int = 4
+    calls: int = 0
+    log: list = field(default_factory=list)
+    name: str = "encode"
+
+    def encode(self, rgb):
+        assert (rgb.dtype, rgb.shape[2]) == (np.uint8, 3)
+        self.calls += 1
+        self.log.append(self.name)
+        return rgb.mean() / 255.0 * np.arange(1, self.feature_size + 1) / self.feature_size
+
+
+class FakePolicy:
+    """Predicts `drift` from its input; its state is the last horizon inputs' postures, so it recalls exactly what it
+    was fed, plus `nonsense`."""
+
+    def __init__(self, joints=3, feature_size=4, horizon=2, drift=0.01, nonsense=0.0, gain=0.1):
+        self.posture_size = joints + 1
+        self.feature_size = feature_size
+        self.horizon = horizon
+        self.state_size = (horizon + 1) * self.posture_size
+        self.scaling = FakeScaling(-2.0 * np.ones(self.posture_size), np.arange(1.0, self.posture_size + 1))
+        self.initial_posture = np.linspace(-0.5, 0.5, self.posture_size)
+        self.initial_state = np.tile(self.scaling.scale(self.initial_posture), horizon + 1)
+        self.mean_errors = np.full(horizon + 1, 1e-4)
+        self.beta, self.gamma = 30.0, 60.0
+        self.regulator_gain = gain
+        self.drift, self.nonsense = drift, nonsense
+        self.inputs, self.log = [], []
+
+    def step(self, x, state):
+        self.inputs.append(np.array(x))
+        self.log.append("step")
+        m = x[: self.posture_size]
+        features = 0.5 * x[self.posture_size :]
+        return np.concatenate((m + self.drift, features)), np.concatenate((m, state[: -self.posture_size]))
+
+    def recall(self, state):
+        self.log.append("recall")
+        return state[self.posture_size :].reshape(self.horizon, self.posture_size) + self.nonsense
+
+
+class TickArm(LeafSystem):
+    """An arm that is a plain integrator with a hold: its posture at tick k + 1 is the command of tick k.
+
+    Steps half a period after the ticks, so that it's clear what each of them sees.
+    """
+
+    def __init__(self, initial_posture, period=PERIOD):
+        super().__init__()
+        self._input = self.DeclareVectorInputPort("desired_posture", len(initial_posture))
+        self._posture = self.DeclareDiscreteState(np.asarray(initial_posture, dtype=float))
+        self.DeclareStateOutputPort("posture", self._posture)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, period / 2, self._update)
+
+    def _update(self, context, discrete_state):
+        discrete_state.set_value(self._posture, self._input.Eval(context))
+
+
+def image(value=51, size=112):
+    """A grey image, size x size pixels."""
+    picture = ImageRgba8U(size, size)
+    picture.mutable_data[:] = value
+    return picture
+
+
+def make_controller(encoder=None, policy=None, **arguments):
+    """A controller with wide limits around fakes."""
+    policy = policy or FakePolicy()
+    n = policy.posture_size
+    defaults = dict(
+        regulator_Q=1.0,
+        regulator_R=90.0,
+        joint_lower=np.full(n, -10.0),
+        joint_upper=np.full(n, 10.0),
+        speed_limits=np.full(n, 100.0),
+        period=PERIOD,
+    )
+    return SwitchedController(encoder or FakeEncoder(policy.feature_size), policy, **(defaults | arguments))
+
+
+class ClosedLoop:
+    """The controller, a grey image, and an arm; optionally a log of one of its outputs at the ticks."""
+
+    def __init__(self, controller, arm, logged=None):
+        builder = DiagramBuilder()
+        self.controller = builder.AddNamedSystem("controller", controller)
+        self.arm = builder.AddNamedSystem("arm", arm)
+        camera = builder.AddNamedSystem("camera", ConstantValueSource(AbstractValue.Make(image())))
+        builder.Connect(camera.get_output_port(), controller.GetInputPort("rgb_image"))
+        builder.Connect(arm.get_output_port(), controller.GetInputPort("posture"))
+        builder.Connect(controller.GetOutputPort("desired_posture"), arm.get_input_port())
+        self.log = None if logged is None else LogVectorOutput(controller.GetOutputPort(logged), builder, PERIOD)
+        self.diagram = builder.Build()  # raises on an algebraic loop
+        self.simulator = Simulator(self.diagram)
+        self.simulator.Initialize()
+
+    def output(self, name):
+        context = self.controller.GetMyContextFromRoot(self.simulator.get_context())
+        return self.controller.GetOutputPort(name).Eval(context)
+
+    def posture(self):
+        return self.arm.get_output_port().Eval(self.arm.GetMyContextFromRoot(self.simulator.get_context()))
+
+    def after_tick(self, k):
+        """Advances to just after the update of tick k, before the arm moves."""
+        self.simulator.AdvanceTo(k * PERIOD + 0.25 * PERIOD)
+        return self

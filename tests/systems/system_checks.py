@@ -1,0 +1,78 @@
+"""Evaluate one output of one system; run a system twice from a cloned Context."""
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression, MakeVectorVariable
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
+
+
+def fix(system, context: Context, inputs: dict) -> None:
+    for name, value in inputs.items():
+        system.GetInputPort(name).FixValue(context, value)
+
+
+def evaluate(system, output: str, inputs: dict):
+    """The output `output` with the given inputs and a default Context."""
+    context = system.CreateDefaultContext()
+    fix(system, context, inputs)
+    return system.GetOutputPort(output).Eval(context)
+
+
+def evaluate_autodiff(system, output: str, inputs: dict, with_respect_to: str):
+    """The value of `output` and its gradient with respect to one input, by the system converted to AutoDiffXd."""
+    system = system.ToAutoDiffXd()
+    inputs = {name: np.array([AutoDiffXd(x) for x in np.atleast_1d(value)]) for name, value in inputs.items()}
+    size = len(inputs[with_respect_to])
+    seeds = zip(inputs[with_respect_to], np.eye(size), strict=True)
+    inputs[with_respect_to] = np.array([AutoDiffXd(x.value(), unit) for x, unit in seeds])
+    result = evaluate(system, output, inputs)
+    gradients = [x.derivatives() if len(x.derivatives()) else np.zeros(size) for x in result]
+    return np.array([x.value() for x in result]), np.array(gradients)
+
+
+def evaluate_symbolic(system, output: str, inputs: dict):
+    """`output` as Expressions of Variables, by the system converted to Expression, evaluated at the inputs."""
+    system = system.ToSymbolic()
+    environment, variables = {}, {}
+    for name, value in inputs.items():
+        value = np.atleast_1d(np.asarray(value, dtype=float))
+        symbols = MakeVectorVariable(len(value), name)
+        environment |= dict(zip(symbols, value, strict=True))
+        variables[name] = np.array([Expression(v) for v in symbols])
+    # Drake keeps an Expression's pointer in the bits of a NaN, which numpy takes for an invalid operation.
+    with np.errstate(invalid="ignore"):
+        return np.array([x.Evaluate(environment) for x in evaluate(system, output, variables)])
+
+
+def snapshot(system, context: Context) -> dict:
+    """All outputs and the discrete state as bytes."""
+    bits = {}
+    for i in range(system.num_output_ports()):
+        port = system.get_output_port(i)
+        bits[port.get_name()] = np.asarray(port.Eval(context)).tobytes()
+    for i in range(context.num_discrete_state_groups()):
+        bits[i] = np.array(context.get_discrete_state(i).value()).tobytes()
+    return bits
+
+
+def run_from(system, context: Context, inputs: list[dict], period: float) -> list[dict]:
+    """Advances a period for each set of inputs; returns a snapshot after each."""
+    simulator = Simulator(system, context)
+    context = simulator.get_mutable_context()
+    snapshots = []
+    for values in inputs:
+        fix(system, context, values)
+        simulator.AdvanceTo(context.get_time() + period)
+        snapshots.append(snapshot(system, context))
+    return snapshots
+
+
+def assert_clone_replays(system, inputs: list[dict], period: float) -> None:
+    """Runs half of the inputs, clones the Context, runs the rest from the clone and from the original: same bits."""
+    half = len(inputs) // 2
+    context = system.CreateDefaultContext()
+    run_from(system, context, inputs[:half], period)
+    clone = context.Clone()
+    first = run_from(system, context, inputs[half:], period)
+    assert first == run_from(system, clone, inputs[half:], period)

@@ -1,0 +1,118 @@
+"""Bad constructor arguments: a ValueError that names the value, the limit and the remedy."""
+
+import numpy as np
+import pytest
+from controller_fakes import FakeEncoder, FakePolicy, make_controller
+
+from systems.alpha_mixer import AlphaMixer
+from systems.detector import RecallDetector, check_detector
+from systems.disturbance import Disturbance
+from systems.image_encoder import ImageEncoder
+from systems.loop_closer import LoopCloser
+from systems.posture_history import PostureHistory
+from systems.posture_regulator import make_posture_regulator
+from systems.recurrent_policy import RecurrentPolicy
+
+ONES = np.ones(4)
+
+
+def build(function, defaults):
+    return lambda **changes: function(**(defaults | changes))
+
+
+encoder = build(ImageEncoder, dict(encoder=FakeEncoder()))
+history = build(PostureHistory, dict(posture_size=4, horizon=2, period=0.1, initial_posture=ONES))
+closer = build(LoopCloser, dict(posture_size=4, feature_size=4))
+detector = build(
+    RecallDetector,
+    dict(posture_size=4, horizon=2, state_size=12, mean_errors=np.ones(3), beta=30.0, gamma=60.0),
+)
+regulator = build(
+    make_posture_regulator, dict(posture_size=4, joints=3, initial_posture=ONES, Q=1.0, R=90.0, period=0.1)
+)
+mixer = build(AlphaMixer, dict(posture_size=4, lower=-ONES, upper=ONES, max_step=ONES))
+disturbance = build(Disturbance, dict(posture_size=4))
+
+
+def policy(period=0.1, **attributes):
+    fake = FakePolicy()
+    for name, value in attributes.items():
+        setattr(fake, name, value)
+    return RecurrentPolicy(fake, period)
+
+
+def controller(**arguments):
+    attributes = {n: arguments.pop(n) for n in ("regulator_gain", "mean_errors", "feature_size") if n in arguments}
+    fake = FakePolicy()
+    for name, value in attributes.items():
+        setattr(fake, name, value)
+    return make_controller(FakeEncoder(), fake, **arguments)
+
+
+CASES = [
+    (encoder, dict(width=64), "width is 64.*at least 112"),
+    (encoder, dict(width=224), "224 x 112.*pass equal"),
+    (encoder, dict(encoder=FakeEncoder(feature_size=0)), "feature_size is 0.*at least 1"),
+    (policy, dict(period=0.0), "period is 0.0.*greater than 0"),
+    (policy, dict(horizon=5, recall=lambda state: np.zeros((2, 4))), r"policy.recall gave shape \(2, 4\).*\(5, 4\)"),
+    (policy, dict(initial_state=np.zeros(3)), r"initial_state has shape \(3,\).*\(12,\)"),
+    (history, dict(horizon=0), "horizon is 0.*at least 1"),
+    (history, dict(period=-0.1), "period is -0.1.*greater than 0"),
+    (history, dict(initial_posture=np.full(4, np.nan)), "initial_posture is .*nan.*finite"),
+    (closer, dict(posture_size=0), "posture_size is 0.*at least 1"),
+    (closer, dict(feature_size=1.5), "feature_size is 1.5.*whole number"),
+    (detector, dict(mean_errors=np.zeros(3)), "mean_errors is .*greater than 0.*calibrate"),
+    (detector, dict(mean_errors=np.ones(2)), r"mean_errors has shape \(2,\).*\(3,\)"),
+    (detector, dict(beta=-1.0), "beta is -1.0.*greater than 0"),
+    (detector, dict(gamma=np.inf), "gamma is .*inf.*finite"),
+    (detector, dict(component_weights=np.zeros(4)), "component_weights.*weight at least one"),
+    (detector, dict(component_weights=-ONES), "component_weights.*at least 0"),
+    (regulator, dict(joints=5), "joints is 5, posture_size only 4"),
+    (regulator, dict(Q=0.0), "Q is 0.0.*greater than 0"),
+    (regulator, dict(R=np.diag([1.0, 1.0, -1.0])), "R has the eigenvalue -1.*positive definite"),
+    (regulator, dict(R=np.eye(2)), r"R is .*shape \(3, 3\)"),
+    (mixer, dict(lower=ONES), r"lower is .*swap or widen component\(s\) \[0, 1, 2, 3\]"),
+    (mixer, dict(max_step=-ONES), "max_step.*at least 0"),
+    (disturbance, dict(kind="C"), "kind is 'C'.*none, A, B"),
+    (disturbance, dict(kind="A"), "target_posture is None.*pass a posture"),
+    (disturbance, dict(kind="A", target_posture=np.ones(3)), r"target_posture has shape \(3,\).*\(4,\)"),
+    (disturbance, dict(kind="B", hold_ticks=0), "hold_ticks is 0.*at least 1"),
+    (disturbance, dict(trigger_level=np.nan), "trigger_level is nan"),
+    (disturbance, dict(move_ticks=0), "move_ticks is 0.*at least 1"),
+    (controller, dict(regulator_R=50.0), "LQR gain .*trained with 0.1 .*1e-4.*train again"),
+    (controller, dict(regulator_gain=0.10002), "LQR gain"),
+    (controller, dict(mean_errors=None), "no calibration .*run the calibration"),
+    (controller, dict(feature_size=5), "encoder gives 4 features, the policy takes 5"),
+    (controller, dict(joint_lower=np.ones(3)), r"joint_lower has shape \(3,\).*\(4,\)"),
+    (controller, dict(speed_limits=-ONES), "speed_limits.*at least 0"),
+    (controller, dict(joints=0), "joints is 0.*at least 1"),
+    (controller, dict(detector=detector(), component_weights=ONES), "component_weights is given together"),
+]
+
+
+@pytest.mark.parametrize(("construct", "arguments", "message"), CASES)
+def test_error_names_value_limit_and_remedy(construct, arguments, message):
+    with pytest.raises(ValueError, match=f"(?s){message}"):
+        construct(**arguments)
+
+
+def test_gain_within_tolerance_is_accepted():
+    controller(regulator_gain=0.100009)
+
+
+def test_encoder_of_another_training_is_refused():
+    fake_encoder, fake_policy = FakeEncoder(), FakePolicy()
+    fake_encoder.hash, fake_policy.encoder_hash = "aa", "bb"
+    with pytest.raises(ValueError, match="hash aa, the policy was trained with bb"):
+        make_controller(fake_encoder, fake_policy)
+    fake_encoder.hash = "bb"
+    make_controller(fake_encoder, fake_policy)
+
+
+def test_detector_with_wrong_ports_is_refused():
+    sizes = dict(posture_size=4, horizon=2, state_size=12)
+    check_detector(detector(), **sizes)
+    with pytest.raises(ValueError, match="`posture_history` has size 12, the policy asks for 16"):
+        check_detector(detector(), **(sizes | dict(horizon=3)))
+    with pytest.raises(ValueError, match=r"LoopCloser.* no input port `posture_history`"):
+        check_detector(closer(), **sizes)

@@ -1,0 +1,147 @@
+"""What every system promises: the ports in its docstring, its feedthrough, and all of its memory in the Context."""
+
+import re
+
+import numpy as np
+import pytest
+from controller_fakes import PERIOD, FakeEncoder, FakePolicy, image, make_controller
+from system_checks import assert_clone_replays
+
+from systems import posture_regulator
+from systems.alpha_mixer import AlphaMixer
+from systems.detector import RecallDetector
+from systems.disturbance import Disturbance
+from systems.image_encoder import ImageEncoder
+from systems.loop_closer import LoopCloser
+from systems.posture_history import PostureHistory
+from systems.recurrent_policy import RecurrentPolicy
+
+M, F, N = 4, 4, 2
+POLICY_PORTS = ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state")
+CLOSER_INPUTS = ("posture", "features", "predicted_posture", "predicted_features", "alpha")
+MIXER_INPUTS = ("posture", "predicted_posture", "regulator_step", "alpha")
+
+
+def law():
+    return make_controller().GetSubsystemByName("switching_law")
+
+
+def regulator():
+    return posture_regulator.make_posture_regulator(
+        posture_size=M, joints=3, initial_posture=np.zeros(M), Q=1.0, R=90.0, period=PERIOD
+    )
+
+
+def detector():
+    return RecallDetector(posture_size=M, horizon=N, state_size=12, mean_errors=np.ones(N + 1), beta=1.0, gamma=0.0)
+
+
+DETECTOR_FEEDTHROUGH = {(i, o) for i in ("posture_history", "recalled_postures") for o in ("errors", "alpha")}
+COMMAND_INPUTS = ("sampled_posture", "predicted_posture", "posture_history", "recalled_postures")
+CASES = {
+    "ImageEncoder": (lambda: ImageEncoder(FakeEncoder()), {("rgb_image", "features")}),
+    "RecurrentPolicy": (lambda: RecurrentPolicy(FakePolicy(), PERIOD), set()),
+    "PostureHistory": (
+        lambda: PostureHistory(posture_size=M, horizon=N, period=PERIOD, initial_posture=np.zeros(M)),
+        set(),
+    ),
+    "LoopCloser": (
+        lambda: LoopCloser(posture_size=M, feature_size=F),
+        {(i, "network_input") for i in CLOSER_INPUTS},
+    ),
+    "RecallDetector": (detector, DETECTOR_FEEDTHROUGH),
+    "PostureRegulator": (regulator, {("posture", "step")}),
+    "AlphaMixer": (
+        lambda: AlphaMixer(posture_size=M, lower=-np.ones(M), upper=np.ones(M), max_step=np.ones(M)),
+        {(i, o) for i in MIXER_INPUTS for o in ("desired_posture", "step")}
+        | {("posture", "rnn_step"), ("predicted_posture", "rnn_step"), ("regulator_step", "regulator_step")},
+    ),
+    "Disturbance": (
+        lambda: Disturbance(posture_size=M, kind="B", hold_ticks=2, trigger_level=0.0),
+        {("desired_posture", "disturbed_posture")},
+    ),
+    "SwitchingLaw": (
+        law,
+        DETECTOR_FEEDTHROUGH
+        | {(i, o) for i in COMMAND_INPUTS for o in ("desired_posture", "step")}
+        | {("sampled_posture", o) for o in ("rnn_step", "regulator_step")}
+        | {("predicted_posture", "rnn_step")}
+        | {(i, "network_input") for i in (*CLOSER_INPUTS[:-1], "posture_history", "recalled_postures")},
+    ),
+    "SwitchedController": (make_controller, {("rgb_image", "features")}),
+}
+
+
+def each(test):
+    return pytest.mark.parametrize("name", CASES)(test)
+
+
+def input_ports(system):
+    return [system.get_input_port(i) for i in range(system.num_input_ports())]
+
+
+def output_ports(system):
+    return [system.get_output_port(i) for i in range(system.num_output_ports())]
+
+
+@each
+def test_ports_are_those_of_the_docstring(name):
+    system = CASES[name][0]()
+    documented = posture_regulator.make_posture_regulator if name == "PostureRegulator" else type(system)
+    block = re.search(r"pydrake_system::(.*?)\n\n(?!\s+name:)", documented.__doc__, re.DOTALL).group(1)
+    assert re.search(r"name: (\w+)", block).group(1) == name
+    inputs, outputs = (re.findall(r"- (\w+)", part) for part in block.split("output_ports:"))
+    assert inputs == [port.get_name() for port in input_ports(system)]
+    assert outputs == [port.get_name() for port in output_ports(system)]
+
+
+@each
+def test_feedthrough(name):
+    build, expected = CASES[name]
+    system = build()
+    found = {
+        (input_port.get_name(), output_port.get_name())
+        for input_port in input_ports(system)
+        for output_port in output_ports(system)
+        if system.HasDirectFeedthrough(input_port.get_index(), output_port.get_index())
+    }
+    assert found == expected
+
+
+def random_inputs(system, rng):
+    return {
+        port.get_name(): image(rng.integers(255)) if port.get_name() == "rgb_image" else rng.normal(size=port.size())
+        for port in input_ports(system)
+    }
+
+
+@each
+def test_clone_of_the_context_replays_to_the_same_bits(name):
+    system = CASES[name][0]()
+    rng = np.random.default_rng(1)
+    assert_clone_replays(system, [random_inputs(system, rng) for _ in range(12)], PERIOD)
+
+
+def test_controller_names_and_topology():
+    controller = make_controller()
+    names = {system.get_name() for system in controller.GetSystems()}
+    assert {"image_encoder", "posture_scaling", "recurrent_policy", "posture_history", "switching_law"} <= names
+    law_names = {system.get_name() for system in controller.GetSubsystemByName("switching_law").GetSystems()}
+    assert law_names == {"loop_closer", "detector", "posture_regulator", "alpha_mixer"}
+    wires = {
+        f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
+        f"{target.get_name()}.{target.get_input_port(into).get_name()}"
+        for (target, into), (source, out) in controller.connection_map().items()
+    }
+    assert wires >= {
+        "switching_law.network_input -> recurrent_policy.network_input",
+        "recurrent_policy.recalled_postures -> switching_law.recalled_postures",
+        "recurrent_policy.hidden_state -> switching_law.hidden_state",
+        "recurrent_policy.predicted_posture -> switching_law.predicted_posture",
+        "recurrent_policy.predicted_features -> switching_law.predicted_features",
+        "posture_history.posture -> switching_law.sampled_posture",
+        "posture_history.posture_history -> switching_law.posture_history",
+        "image_encoder.features -> switching_law.features",
+        "posture_scaling.y0 -> switching_law.posture",  # not the sampled one: the update needs this tick's
+        "posture_scaling.y0 -> posture_history.posture",
+    }
