@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from pydrake.geometry.optimization import HPolyhedron, VPolytope
 
 from diagrams.clearance import Clearance
 from diagrams.demonstration import GRASP_ABOVE_CENTRE, HOVER, SUBTASK_STEPS, commands, subtask_waypoints
@@ -32,6 +33,7 @@ class EpisodeDraws:
         self._hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
         self._clearance = Clearance()
         self._spots = _spot_centres(world)
+        self._trained_area = HPolyhedron(VPolytope(world.grid.training_positions().T))
 
     def draw(
         self,
@@ -69,22 +71,24 @@ class EpisodeDraws:
             self._hand.solve(np.array([*can_xy, CAN_HALF_HEIGHT + GRASP_ABOVE_CENTRE + height]))
 
     def unlearned_position(self, rng: np.random.Generator) -> tuple[float, float]:
-        """World x, y (m) inside the trained area, 1.0 to 2.0 cm from the nearest trained position."""
+        """World x, y (m) inside the trained area (the trained positions' convex hull), 1.0 to 2.0 cm from the nearest trained position."""
         lower, upper = self._world.grid.bounds
         trained = self._world.grid.training_positions()
         while True:
             xy = rng.uniform(lower, upper)
-            if UNLEARNED[0] <= np.linalg.norm(trained - xy, axis=1).min() <= UNLEARNED[1]:
+            distance = np.linalg.norm(trained - xy, axis=1).min()
+            if UNLEARNED[0] <= distance <= UNLEARNED[1] and self._trained_area.PointInSet(xy):
                 return float(xy[0]), float(xy[1])
 
     def _disturbance(
         self, rng: np.random.Generator, kind: str, can_xy: tuple[float, float], vacant: str
     ) -> DisturbanceDraw:
+        # First what the scene has no say in, so that another can or spot leaves it as it is.
         subtask = int(rng.integers(1, 3))
-        level = self._onset_level(rng, subtask, can_xy, vacant)
         hold = int(rng.integers(STOP_TICKS[0], STOP_TICKS[1] + 1))
         taken = subtask == 2 and rng.uniform() < CAN_TAKEN_SHARE
         elsewhere = self.unlearned_position(rng)
+        level = self._onset_level(rng, subtask, can_xy, vacant)
         if kind == "none":
             return DisturbanceDraw()
         if kind == "B":

@@ -107,15 +107,14 @@ class TaskMonitor:
 
     def placed(self, can_poses: np.ndarray) -> bool:
         """The can stands on its spot, upright; `can_poses` (14) as PickPlaceStation gives them."""
-        return (
-            float(np.linalg.norm(can_poses[4:7] - self.place)) < PLACE_TOLERANCE
-            and tilt(can_poses[:7]) < UPRIGHT_TOLERANCE
+        return bool(
+            np.linalg.norm(can_poses[4:7] - self.place) < PLACE_TOLERANCE and tilt(can_poses[:7]) < UPRIGHT_TOLERANCE
         )
 
     def neighbour_untouched(self, can_poses: np.ndarray) -> bool:
         """The other can has not moved and is upright."""
-        return (
-            float(np.linalg.norm(can_poses[11:] - self.neighbour)) < NEIGHBOUR_TOLERANCE
+        return bool(
+            np.linalg.norm(can_poses[11:] - self.neighbour) < NEIGHBOUR_TOLERANCE
             and tilt(can_poses[7:]) < UPRIGHT_TOLERANCE
         )
 

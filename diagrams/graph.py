@@ -25,7 +25,8 @@ def save_graph(diagram: Diagram, path: Path) -> None:
     if path.suffix == ".dot":
         path.write_text(text)
         return
-    dot = shutil.which("dot") or shutil.which("dot", path=sysconfig.get_path("scripts"))
+    # The dependency's command, beside this Python, where there is no Graphviz.
+    dot = shutil.which("dot") or shutil.which("graphviz-pure", path=sysconfig.get_path("scripts"))
     if dot is None:
         raise ScenarioError(
             "there is no program `dot` to draw the graph with: install Graphviz or the package graphviz-pure, or ask for .dot"

@@ -62,22 +62,30 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.draws import EpisodeDraws
     from diagrams.graph import FORMATS, save_graph
     from diagrams.rollout import Rollout
+    from diagrams.timeline import FORMATS as PLOT_FORMATS
     from diagrams.timeline import save_timeline
     from models.inference import Encoder, Policy
 
-    if cli.graphviz.suffix not in FORMATS:  # before the episode, not after it
-        raise ScenarioError(
-            f"{cli.graphviz.name} is no format for the graph: choose a name that ends in {', '.join(FORMATS)}"
-        )
+    # Before the episode, not after it.
+    for path, formats in ((cli.graphviz, FORMATS), (cli.plot, PLOT_FORMATS), (cli.video, (".mp4",))):
+        if path is not None and path.suffix not in formats:
+            raise ScenarioError(
+                f"{path.name} has no format that can be written: choose a name that ends in {', '.join(formats)}"
+            )
     for path in (cli.graphviz, cli.record, cli.plot, cli.video, cli.json):
         if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            _prepare(path)
     episode = EpisodeDraws(cli.world).draw(
         cli.seed, cli.disturbance, tuple(cli.can) if cli.can else None, cli.vacant, cli.rnn
     )
     encoder, policy = Encoder(cli.weights / "cae.safetensors"), Policy(cli.weights / f"{cli.rnn}.safetensors")
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-    rollout = Rollout(cli.world, encoder, policy, meshcat=meshcat, video=cli.video)
+    try:
+        rollout = Rollout(cli.world, encoder, policy, meshcat=meshcat, video=cli.video)
+    except ScenarioError:
+        raise
+    except ValueError as error:  # networks, camera and regulator that do not fit together
+        raise ScenarioError(f"the controller cannot be built: {error}") from error
     rollout.simulator.set_target_realtime_rate(cli.realtime_rate)
     if cli.meshcat:
         print(f"live view: {meshcat.web_url()}")
@@ -124,8 +132,16 @@ def _yes(value: bool) -> str:
     return "yes" if value else "no"
 
 
+def _prepare(path: Path) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    except OSError as error:
+        raise ScenarioError(f"{path} cannot be written ({error.strerror}): choose another name") from error
+
+
 def _bad_input(error: Exception) -> int:
-    print(f"error: {error}", file=sys.stderr)
+    print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
     return 2
 
 

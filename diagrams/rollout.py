@@ -106,12 +106,10 @@ class Rollout:
             self.video = builder.AddSystem(VideoWriter(filename=str(video), fps=1 / world.timing.period, backend="cv2"))
             builder.Connect(station.GetOutputPort("film_image"), self.video.get_input_port())
         if meshcat is not None:
-            from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
+            from pydrake.geometry import MeshcatVisualizer
 
-            ApplyVisualizationConfig(
-                VisualizationConfig(publish_contacts=False, publish_proximity=False, publish_inertia=False),
-                builder, plant=station.plant, scene_graph=station.scene_graph, meshcat=meshcat,
-            )  # fmt: skip
+            # The scene graph is inside the station, where ApplyVisualizationConfig does not look.
+            MeshcatVisualizer.AddToBuilder(builder, station.GetOutputPort("query_object"), meshcat)
         self.diagram = builder.Build()
         self.diagram.set_name("pick_place")
         self.simulator = Simulator(self.diagram)

@@ -175,7 +175,13 @@ def main(arguments: TeachArguments) -> int:
     settings = json.dumps(
         {"world": dataclasses.asdict(world), "seed": arguments.seed, "layout": LAYOUT_VERSION}, sort_keys=True
     )
-    with h5py.File(arguments.out, "a") as file:
+    try:
+        file = h5py.File(arguments.out, "a")
+    except OSError as error:
+        raise ScenarioError(
+            f"{arguments.out} cannot be opened as HDF5 ({error}): if a kill in the middle of a write broke it, delete it"
+        ) from error
+    with file:
         data = file.require_group("data")
         if data.attrs.get("env_args", settings) != settings:
             raise ScenarioError(
@@ -188,6 +194,7 @@ def main(arguments: TeachArguments) -> int:
             posture_names=json.dumps([f"joint_{j + 1}" for j in range(7)] + ["opening"]),
             seed=arguments.seed,
         )
+        file.flush()  # from here on a killed run leaves a file that can be opened
         missing = [lesson for lesson in todo if f"demo_{lesson.index}" not in data]
         if missing:
             spawn = multiprocessing.get_context("spawn")

@@ -10,11 +10,12 @@ from diagrams.episode import FALSE_ALARM
 from diagrams.rollout import Record
 from diagrams.station import ARM_JOINTS
 
+FORMATS = (".png", ".svg", ".pdf")
 LABELLED = ("disturb", "switched", "initial posture", "resumes", "picked", "placed", "taken")
 
 
 def save_timeline(record: Record, path: Path, title: str) -> None:
-    """Writes the picture of `record` to `path` (png, svg or pdf)."""
+    """Writes the picture of `record` to `path` (see FORMATS)."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from systems.elementwise import clamp
+from systems.elementwise import clamp, maximum
 from systems.validation import require_bounds, require_count, require_vector
 
 
@@ -12,6 +12,10 @@ from systems.validation import require_bounds, require_count, require_vector
 def AlphaMixer_(T):
     class Impl(LeafSystem_[T]):
         """dm = (1 - alpha) dm^R + dm^L, Eq. 3, and the command m_k + dm within the limits of speed and position.
+
+        A prediction made from what the network imagined (Eqs. 7, 8 with alpha_{k-1} > 0) is no command: alpha in Eq. 3
+        is the larger of alpha_k and alpha_{k-1}. Else the tick at which alpha falls would, for one, open fingers that
+        hold something because the network imagined having put it down.
 
         .. pydrake_system::
 
@@ -21,6 +25,7 @@ def AlphaMixer_(T):
             - predicted_posture
             - regulator_step
             - alpha
+            - last_alpha
             output_ports:
             - desired_posture
             - rnn_step
@@ -32,6 +37,7 @@ def AlphaMixer_(T):
             predicted_posture: (M,) m^R_{k+1}.
             regulator_step: (M,) dm^L_k; 0 in the fingers, which therefore keep their command under alpha = 1.
             alpha: (1,) alpha_k in [0, 1].
+            last_alpha: (1,) alpha_{k-1}, with which the input of the prediction was closed.
         Outputs:
             desired_posture: (M,) m_k + dm, dm clamped to +-max_step, then the sum to [lower, upper].
             rnn_step: (M,) dm^R_k = m^R_{k+1} - m_k.
@@ -54,8 +60,10 @@ def AlphaMixer_(T):
             self._predicted = self.DeclareVectorInputPort("predicted_posture", size)
             self._regulator_step = self.DeclareVectorInputPort("regulator_step", size)
             self._alpha = self.DeclareVectorInputPort("alpha", 1)
+            self._last_alpha = self.DeclareVectorInputPort("last_alpha", 1)
             posture, predicted = self._posture.ticket(), self._predicted.ticket()
-            everything = {posture, predicted, self._regulator_step.ticket(), self._alpha.ticket()}
+            alphas = {self._alpha.ticket(), self._last_alpha.ticket()}
+            everything = {posture, predicted, self._regulator_step.ticket()} | alphas
             self.DeclareVectorOutputPort("desired_posture", size, self._calc_desired_posture, everything)
             self.DeclareVectorOutputPort("rnn_step", size, self._calc_rnn_step, {posture, predicted})
             self.DeclareVectorOutputPort(
@@ -74,7 +82,7 @@ def AlphaMixer_(T):
             )
 
         def _step(self, context):
-            alpha = self._alpha.Eval(context)[0]
+            alpha = maximum(np.concatenate((self._alpha.Eval(context), self._last_alpha.Eval(context))))
             rnn_step = self._predicted.Eval(context) - self._posture.Eval(context)
             return (1.0 - alpha) * rnn_step + self._regulator_step.Eval(context)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
-from pydrake.systems.primitives import AffineSystem
+from pydrake.systems.primitives import AffineSystem, ZeroOrderHold
 
 from systems.detector import RecallDetector
 from systems.image_encoder import ImageEncoder
@@ -137,6 +137,9 @@ class SwitchedController(Diagram):
             ),
         )
 
+        # Its update at tick k still sees the alpha of tick k - 1.
+        last_alpha = builder.AddNamedSystem("last_alpha", ZeroOrderHold(period, 1))
+
         builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
         builder.ExportInput(scale.get_input_port(), "posture")
         builder.Connect(scale.get_output_port(), law.GetInputPort("posture"))
@@ -147,6 +150,8 @@ class SwitchedController(Diagram):
         for name in ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state"):
             builder.Connect(network.GetOutputPort(name), law.GetInputPort(name))
         builder.Connect(law.GetOutputPort("network_input"), network.GetInputPort("network_input"))
+        builder.Connect(law.GetOutputPort("alpha"), last_alpha.get_input_port())
+        builder.Connect(last_alpha.get_output_port(), law.GetInputPort("last_alpha"))
 
         def export_physical(port, name: str, offset: np.ndarray) -> None:
             unscale = affine(f"{name}_unscaling", half_range, offset)

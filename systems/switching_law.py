@@ -23,6 +23,7 @@ class SwitchingLaw(Diagram):
         - predicted_features
         - recalled_postures
         - hidden_state
+        - last_alpha
         output_ports:
         - network_input
         - errors
@@ -40,6 +41,7 @@ class SwitchingLaw(Diagram):
         predicted_posture, predicted_features: (M,), (F,) the network's predictions for the next tick.
         recalled_postures: ((N + 1) M,) m^R_k, ..., m^R_{k-N}.
         hidden_state: (S,) c_k.
+        last_alpha: (1,) alpha_{k-1}; see AlphaMixer.
     Outputs:
         network_input: (M + F,) x of Eqs. 7 and 8.
         errors: (E,) of the detector.
@@ -93,6 +95,7 @@ class SwitchingLaw(Diagram):
             "predicted_features": [closer.GetInputPort("predicted_features")],
             "recalled_postures": [detector.GetInputPort("recalled_postures")],
             "hidden_state": [detector.GetInputPort("hidden_state")],
+            "last_alpha": [mixer.GetInputPort("last_alpha")],
         }.items():
             builder.ExportInput(consumers[0], name)
             for consumer in consumers[1:]:

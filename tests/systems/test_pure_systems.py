@@ -17,7 +17,11 @@ CLOSER_INPUTS = dict(
 )
 MIXER = AlphaMixer(posture_size=3, lower=[-1.0, -1.0, -1.0], upper=[1.0, 1.0, 1.0], max_step=[0.2, 0.2, 0.2])
 MIXER_INPUTS = dict(
-    posture=[0.5, 0.0, 0.95], predicted_posture=[0.6, 2.0, 1.15], regulator_step=[-0.05, 0.0, 0.0], alpha=[0.5]
+    posture=[0.5, 0.0, 0.95],
+    predicted_posture=[0.6, 2.0, 1.15],
+    regulator_step=[-0.05, 0.0, 0.0],
+    alpha=[0.5],
+    last_alpha=[0.25],
 )
 # 0.5 * [0.1, 2, 0.2] + dm^L = [0, 1, 0.1]; clamped to 0.2, added, clamped to 1.
 MIXED_STEP, MIXED_POSTURE = [0.0, 1.0, 0.1], [0.5, 0.2, 1.0]
@@ -48,6 +52,12 @@ def test_regulator_pulls_always_and_fingers_stay_under_alpha_one():
     assert posture == pytest.approx([0.45, 0.0, 0.95])
 
 
+def test_a_prediction_from_imagination_moves_nothing():
+    inputs = MIXER_INPUTS | dict(alpha=[0.0], last_alpha=[1.0])
+    assert evaluate(MIXER, "desired_posture", inputs) == pytest.approx([0.45, 0.0, 0.95])
+    assert evaluate(MIXER, "rnn_step", inputs) == pytest.approx([0.1, 2.0, 0.2])
+
+
 def test_alpha_mixer_converts():
     value, gradient = evaluate_autodiff(MIXER, "desired_posture", MIXER_INPUTS, "alpha")
     assert value == pytest.approx(MIXED_POSTURE)
@@ -72,9 +82,10 @@ numbers = st.floats(-1e6, 1e6)
 
 @settings(max_examples=60, deadline=None)
 @given(arrays(float, 3, elements=numbers), arrays(float, 3, elements=numbers), arrays(float, 3, elements=numbers),
-       st.floats(0.0, 1.0))  # fmt: skip
-def test_mixer_never_leaves_bounds(posture, predicted, regulator_step, alpha):
-    inputs = dict(posture=posture, predicted_posture=predicted, regulator_step=regulator_step, alpha=[alpha])
+       st.floats(0.0, 1.0), st.floats(0.0, 1.0))  # fmt: skip
+def test_mixer_never_leaves_bounds(posture, predicted, regulator_step, alpha, last_alpha):
+    inputs = dict(posture=posture, predicted_posture=predicted, regulator_step=regulator_step)
+    inputs |= dict(alpha=[alpha], last_alpha=[last_alpha])
     found = evaluate(MIXER, "desired_posture", inputs)
     assert np.all(np.abs(found) <= 1.0)
     inside = np.clip(posture, -1.0, 1.0)

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from controller_fakes import PERIOD, ClosedLoop, FakeEncoder, FakePolicy, TickArm, make_controller
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import PassThrough
 from system_checks import snapshot
 
 from systems import alpha_mixer
+from systems.detector import declare_detector_inputs
 
 
 def closed_loop(policy=None, offset=0.0, arm=None, logged=None, **arguments):
@@ -84,8 +86,8 @@ def reference(policy, arm, ticks, disturb):
         recalled = np.vstack((prediction, policy.recall(state)))
         prediction, predicted_features = np.clip(y[:M], -1.0, 1.0), np.clip(y[M:], -1.0, 1.0)
         history = [m, *history[:-1]]
-        alpha = detect(recalled)
-        arm = unscale(m + (1.0 - alpha) * (prediction - m) - K @ (m - initial))
+        last_alpha, alpha = alpha, detect(recalled)
+        arm = unscale(m + (1.0 - max(alpha, last_alpha)) * (prediction - m) - K @ (m - initial))
         commands.append(arm)
         alphas.append(alpha)
     return np.array(commands), np.array(alphas)
@@ -109,6 +111,43 @@ def test_thirty_ticks_are_those_of_the_equations(joints):
         loop.after_tick(k)
         assert loop.output("alpha")[0] == pytest.approx(alphas[k], rel=1e-8)
         assert loop.output("desired_posture") == pytest.approx(expected[k], rel=1e-9)
+
+
+class Scheduled(LeafSystem):
+    """A detector with alpha = 1 in the ticks before `until`, then 0."""
+
+    def __init__(self, until, **sizes):
+        super().__init__()
+        declare_detector_inputs(self, **sizes)
+        self._until = until
+        self.DeclareDiscreteState([0.0])  # the number of the next tick
+        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._update)
+        for name in ("errors", "alpha"):
+            self.DeclareVectorOutputPort(name, 1, self._calc, {self.xd_ticket()})
+
+    def _update(self, context, discrete_state):
+        discrete_state.set_value([context.get_discrete_state_vector()[0] + 1.0])
+
+    def _calc(self, context, output):
+        output[0] = float(context.get_discrete_state_vector()[0] - 1.0 < self._until)
+
+
+def test_what_was_imagined_is_no_command():
+    """At the tick at which alpha falls, the prediction still comes from imagination: it must not open the fingers."""
+    policy = FakePolicy(drift=0.02)
+    detector = Scheduled(20, posture_size=4, horizon=2, state_size=policy.state_size)
+    loop, *_ = closed_loop(policy, detector=detector)
+    start = policy.initial_posture
+    half_range = (policy.scaling.upper - policy.scaling.lower) / 2.0
+    loop.after_tick(19)
+    assert loop.output("alpha")[0] == 1.0
+    loop.after_tick(20)
+    assert loop.output("alpha")[0] == 0.0
+    # It imagined 21 steps of 0.02; the arm stays where the LQR holds it.
+    assert loop.output("predicted_posture") == pytest.approx(start + 21 * 0.02 * half_range)
+    assert loop.output("desired_posture") == pytest.approx(start)
+    loop.after_tick(21)
+    assert loop.output("desired_posture") == pytest.approx(start + 0.02 * half_range)
 
 
 def test_outputs_are_physical_where_they_say_so():

@@ -1,0 +1,78 @@
+"""The convolutional autoencoder of Table I."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any
+
+from torch import Tensor, nn
+
+IMAGE_SIZE = 112
+FEATURE_SIZE = 30
+CHANNELS = (32, 64, 128)
+HIDDEN = 1000
+_KERNEL: dict[str, Any] = {"kernel_size": 6, "stride": 2}
+_ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
+
+
+class ConvolutionalAutoencoder(nn.Module):
+    """112x112 RGB to 30 features and back (Table I: kernel 6, stride 2, padding 1, 32-64-128, full 1000-30-1000).
+
+    Sizes: 112 -> 55 -> 26 -> 12 in the encoder, 12 -> 26 -> 54 -> 112 in the decoder. The last deconvolution has no
+    padding: with padding 1 the picture would come out as 110.
+
+    Args:
+        feature_activation: "tanh" bounds the features to [-1, 1] and lets none die; "relu" is the paper's.
+    """
+
+    def __init__(self, feature_activation: str = "tanh") -> None:
+        super().__init__()
+        if feature_activation not in _ACTIVATIONS:
+            raise ValueError(f"feature_activation must be one of {sorted(_ACTIVATIONS)}, not {feature_activation!r}")
+        self.feature_activation = feature_activation
+        flat = CHANNELS[2] * 12 * 12
+        down = [3, *CHANNELS]
+        up = [*CHANNELS[::-1]]
+        encoder: list[tuple[str, nn.Module]] = []
+        for i in range(3):
+            # Batch norm has its own offset, so no layer before one needs a bias.
+            encoder += [(f"conv{i}", nn.Conv2d(down[i], down[i + 1], padding=1, bias=False, **_KERNEL)),
+                        (f"conv{i}_norm", nn.BatchNorm2d(down[i + 1])), (f"conv{i}_relu", nn.ReLU())]
+        encoder += [("flatten", nn.Flatten()),
+                    ("full", nn.Linear(flat, HIDDEN, bias=False)),
+                    ("full_norm", nn.BatchNorm1d(HIDDEN)), ("full_relu", nn.ReLU()),
+                    ("feature", nn.Linear(HIDDEN, FEATURE_SIZE, bias=False)),
+                    ("feature_norm", nn.BatchNorm1d(FEATURE_SIZE)),
+                    ("feature_activation", _ACTIVATIONS[feature_activation]())]
+        decoder: list[tuple[str, nn.Module]] = [
+            ("full0", nn.Linear(FEATURE_SIZE, HIDDEN, bias=False)),
+            ("full0_norm", nn.BatchNorm1d(HIDDEN)), ("full0_relu", nn.ReLU()),
+            ("full1", nn.Linear(HIDDEN, flat, bias=False)),
+            ("full1_norm", nn.BatchNorm1d(flat)), ("full1_relu", nn.ReLU()),
+            ("unflatten", nn.Unflatten(1, (CHANNELS[2], 12, 12)))]
+        for i in range(2):
+            decoder += [(f"deconv{i}", nn.ConvTranspose2d(up[i], up[i + 1], padding=1, bias=False, **_KERNEL)),
+                        (f"deconv{i}_norm", nn.BatchNorm2d(up[i + 1])), (f"deconv{i}_relu", nn.ReLU())]
+        # The picture itself is linear: ReLU has no gradient where a pixel is predicted too dark, and batch norm would
+        # make the colour of one picture depend on the others in its batch.
+        decoder.append(("output", nn.ConvTranspose2d(up[2], 3, padding=0, **_KERNEL)))
+        self.encoder = nn.Sequential(OrderedDict(encoder))
+        self.decoder = nn.Sequential(OrderedDict(decoder))
+
+    def encode(self, image: Tensor) -> Tensor:
+        """Images (B, 3, 112, 112) in [0, 1] to features (B, 30)."""
+        return self.encoder(image)
+
+    def decode(self, feature: Tensor) -> Tensor:
+        """Features (B, 30) to images (B, 3, 112, 112)."""
+        return self.decoder(feature)
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns the reconstruction (B, 3, 112, 112) and the features (B, 30)."""
+        feature = self.encode(image)
+        return self.decode(feature), feature
+
+
+def to_image(rgb: Tensor) -> Tensor:
+    """uint8 (B, 112, 112, 3) to float (B, 3, 112, 112) in [0, 1]; the memory stays as it lies (channels last)."""
+    return rgb.permute(0, 3, 1, 2).float().div_(255.0)

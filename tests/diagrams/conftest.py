@@ -1,0 +1,46 @@
+"""Fixtures: one station, one kinematics, one closed loop with fakes a process."""
+
+import pytest
+from closed_loop_fakes import FakeEncoder, FakePolicy
+
+from diagrams.draws import EpisodeDraws
+from diagrams.kinematics import HandKinematics
+from diagrams.rollout import Rollout
+from diagrams.scenario import World
+from diagrams.station import ARM_JOINTS, PickPlaceStation
+
+
+@pytest.fixture(scope="session")
+def world():
+    return World()
+
+
+@pytest.fixture(scope="session")
+def station(world):
+    return PickPlaceStation(world)
+
+
+@pytest.fixture(scope="session")
+def hand(world):
+    return HandKinematics(world.initial_posture[:ARM_JOINTS])
+
+
+@pytest.fixture(scope="session")
+def draws(world):
+    return EpisodeDraws(world)
+
+
+@pytest.fixture(scope="session")
+def encoder():
+    return FakeEncoder()
+
+
+@pytest.fixture(scope="session")
+def policy(world):
+    return FakePolicy(world)
+
+
+@pytest.fixture(scope="session")
+def rollout(world, encoder, policy):
+    """The whole closed loop without weights."""
+    return Rollout(world, encoder, policy)

@@ -1,0 +1,146 @@
+"""Evaluation and calibration: intervals, summaries, which candidate is taken, and what is written."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from untrained import save_untrained
+
+from diagrams import calibrate, evaluate, workers
+from diagrams import rollout as rollout_module
+from diagrams.calibrate import CalibrateArguments
+from diagrams.draws import SEED_BASE
+from diagrams.episode import Outcome
+from diagrams.evaluate import EvaluateArguments, summarize, wilson
+from diagrams.scenario import ScenarioError, World
+from diagrams.workers import Calibration, Job, Result
+from models.weights import load_policy
+
+
+@pytest.mark.parametrize(
+    ("successes", "n", "low", "high"),
+    [
+        # Of statsmodels' proportion_confint(method="wilson").
+        (38, 40, 0.8350, 0.9862),
+        (40, 40, 0.9124, 1.0),
+        (0, 40, 0.0, 0.0876),
+        (20, 40, 0.3520, 0.6480),
+        (1, 1, 0.2065, 1.0),
+    ],
+)
+def test_wilson(successes, n, low, high):
+    assert wilson(successes, n) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_wilson_of_nothing():
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+OUTCOME = Outcome(
+    seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True, placed=True,
+    home=True, success=True, switched=True, detection_delay_s=0.2, false_switches=0, returned=True, resumed=True,
+    switch_success=True, alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None, switch_failure=None,
+    sim_seconds=40.0, realtime_factor=5.0,
+)  # fmt: skip
+
+
+def result(job, success=True, peak=20.0, reached=4000.0, seconds=40.0):
+    outcome = replace(
+        OUTCOME, seed=job.seed, disturbance=job.kind, success=success, failure=None if success else "stalled",
+        sim_seconds=seconds,
+    )  # fmt: skip
+    mean = 1e-4 * np.arange(1, 12)
+    return Result(job, outcome, 100 * mean, 100, peak * mean, None if job.kind == "none" else reached * mean)
+
+
+def test_summary_counts_what_there_is():
+    results = [result(Job(seed, "A"), success=seed > 0, seconds=40.0 + seed) for seed in range(4)]
+    cell = summarize(results)
+    assert (cell["task"]["successes"], cell["task"]["n"], cell["task"]["rate"]) == (3, 4, 0.75)
+    assert cell["task"]["interval"] == list(wilson(3, 4))
+    assert cell["switching"]["successes"] == 4
+    assert cell["failures"] == {"stalled": 1}
+    assert cell["sim_seconds"]["median"] == 41.5
+    json.dumps(cell)
+
+
+def test_evaluation_writes_every_episode(tmp_path, monkeypatch, capsys):
+    folder = save_untrained(tmp_path / "weights")
+    asked = []
+
+    def run_jobs(world, encoder, policy, jobs, *, workers, calibration):
+        asked.extend(jobs)
+        yield from (result(job, success=job.seed % 10 > 0) for job in reversed(jobs))
+
+    monkeypatch.setattr(evaluate, "run_jobs", run_jobs)
+    out = tmp_path / "new" / "evaluation.json"
+    assert evaluate.main(EvaluateArguments(episodes=20, disturbance=["none", "B"], weights=folder, out=out)) == 0
+    report = json.loads(out.read_text())
+    seeds = [SEED_BASE["evaluation"] + i for i in range(20)]
+    assert [e["seed"] for e in report["episodes"]] == seeds + seeds
+    assert {job.kind for job in asked} == {"none", "B"}
+    assert report["cells"]["B"]["task"]["successes"] == 18
+    printed = capsys.readouterr().out
+    assert "18 of  20   90.0 %" in printed
+    assert "{'stalled': 2}" in printed
+
+
+@pytest.mark.parametrize("change", [{"disturbance": ["none", "C"]}, {"rnn": "rnn"}])
+def test_evaluation_refuses_unknown_words(change):
+    with pytest.raises(ScenarioError, match="there is no"):
+        evaluate.main(EvaluateArguments(**change))
+
+
+def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, monkeypatch, capsys):
+    folder = save_untrained(tmp_path / "weights")
+    candidates = []
+    for name in ("policy-2000", "policy-4000", "policy-6000"):
+        candidates.append(tmp_path / f"{name}.safetensors")
+        candidates[-1].write_bytes((folder / "lstm.safetensors").read_bytes())
+    seeds = set()
+
+    def run_jobs(world, encoder, policy, jobs, *, workers, calibration):
+        assert calibration.gamma == calibrate.OFF
+        seeds.update(job.seed for job in jobs)
+        # 4000 and 6000 fail once; 6000 is the faster one.
+        failed = 4 if policy.stem == "policy-2000" else 1
+        seconds = 38.0 if policy.stem == "policy-6000" else 40.0
+        for i, job in enumerate(jobs):
+            yield result(job, success=job.kind != "none" or i >= failed, seconds=seconds)
+
+    monkeypatch.setattr(calibrate, "run_jobs", run_jobs)
+    out = tmp_path / "out" / "lstm.safetensors"
+    arguments = CalibrateArguments(candidates, out, folder / "cae.safetensors", episodes=6, disturbed=4)
+    assert calibrate.main(arguments) == 0
+    stored = load_policy(out)
+    assert stored.mean_errors == pytest.approx(1e-4 * np.arange(1, 12))
+    assert stored.beta == 30.0
+    assert stored.gamma == pytest.approx(np.sqrt(20.0 * 4000.0))
+    assert stored.metadata["calibration"]["chosen"] == "policy-6000.safetensors"
+    assert stored.metadata["training"] == {"seed": 0}
+    assert all(SEED_BASE["validation"] <= seed < SEED_BASE["evaluation"] for seed in seeds)
+    assert "5 of 6 tasks done" in capsys.readouterr().out
+
+
+def test_calibration_without_any_success_is_an_error(tmp_path, monkeypatch):
+    folder = save_untrained(tmp_path / "weights")
+    candidate = folder / "lstm.safetensors"
+    monkeypatch.setattr(
+        calibrate, "run_jobs", lambda *a, **k: (result(job, success=False) for job in a[3])
+    )  # fmt: skip
+    with pytest.raises(ScenarioError, match="train longer"):
+        calibrate.main(CalibrateArguments([candidate], tmp_path / "out", folder / "cae.safetensors"))
+
+
+def test_a_worker_runs_a_job_with_the_calibration_given(tmp_path, monkeypatch):
+    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 1.5)
+    folder = save_untrained(tmp_path / "weights", calibrated=False)
+    paths = folder / "cae.safetensors", folder / "lstm.safetensors"
+    worker = workers._Worker(World(), *paths, Calibration((1.0,) * 11, 30.0, 1e12))
+    found = worker.run(Job(5, "none"))
+    assert (found.job, found.ticks, found.outcome.seed) == (Job(5, "none"), 15, 5)
+    assert found.squared_error_sum.shape == found.peak_normal.shape == (11,)
+    assert np.all(found.peak_normal <= found.squared_error_sum)
+    assert found.peak_disturbed is None
+    assert not found.outcome.switched  # the detector is off

@@ -1,0 +1,209 @@
+"""The program as a user starts it: exit codes, one clear line for bad input, options over YAML, what it leaves behind."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from untrained import save_untrained
+
+from diagrams import pick_place
+from diagrams.pick_place import parse
+from diagrams.scenario import RNNS, ROOT, ScenarioError
+
+PROGRAM = ROOT / "diagrams" / "pick_place.py"
+WEIGHTS = ROOT / "models" / "weights"
+# As the issue lists them.
+FIELDS = {
+    "seed", "rnn", "detector", "disturbance", "can_xy", "vacant", "picked", "placed", "home", "success", "switched",
+    "detection_delay_s", "false_switches", "returned", "resumed", "switch_success", "alpha_max_before", "sim_seconds",
+    "wall_seconds", "realtime_factor", "weights_hash",
+}  # fmt: skip
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def start(folder, *arguments):
+    """Runs the program in `folder`."""
+    return subprocess.run(
+        [sys.executable, str(PROGRAM), *map(str, arguments)], cwd=folder, capture_output=True, text=True, check=False,
+        timeout=600,
+    )  # fmt: skip
+
+
+def assert_bad_input(done, *named):
+    assert done.returncode == 2, done.stderr
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("error: ")
+    for text in named:
+        assert text in lines[0]
+
+
+@pytest.fixture(scope="module")
+def untrained(tmp_path_factory):
+    return save_untrained(tmp_path_factory.mktemp("weights"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--seed", "-1"), ["seed -1 is negative"]),
+        (("--vacant", "middle"), ["no vacant spot 'middle'", "left, right"]),
+        (("--can", "0.9", "0.0"), ["(0.900, 0.000) m is out of reach", "x in [0.43, 0.63]"]),
+        (("--can", "0.5"), ["does not have two numbers"]),
+        (("--graphviz", "diagram.gif"), ["diagram.gif", ".dot, .svg, .png"]),
+        (("--plot", "timeline.doc"), ["timeline.doc", ".png, .svg, .pdf"]),
+        (("--json", "/dev/null/outcome.json"), ["/dev/null/outcome.json cannot be written"]),
+        (("--weights", "nowhere"), ["nowhere/cae.safetensors", "does not exist", "python -m models.training"]),
+    ],
+)
+def test_bad_input_is_one_clear_line(tmp_path, arguments, named):
+    assert_bad_input(start(tmp_path, *arguments), *named)
+
+
+def test_unknown_key_of_a_scenario_is_one_clear_line(tmp_path):
+    (tmp_path / "scenario.yaml").write_text("world:\n  grid: {spacings: 0.1}\n")
+    assert_bad_input(start(tmp_path, "--scenario", "scenario.yaml"), "scenario.yaml", "spacings")
+
+
+def test_damaged_weights_are_one_clear_line(tmp_path, untrained):
+    whole = (untrained / "lstm.safetensors").read_bytes()
+    (tmp_path / "cae.safetensors").symlink_to(untrained / "cae.safetensors")
+    (tmp_path / "lstm.safetensors").write_bytes(whole[: len(whole) // 2])
+    assert_bad_input(start(tmp_path, "--weights", tmp_path), "lstm.safetensors", "damaged")
+
+
+# In this process, for speed; __main__ turns these errors into the line and the code 2.
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"encoder_hash": "0" * 64}, "the policy was trained with 0000"),
+        ({"gain": 0.2}, "LQR gain"),
+        ({"calibrated": False}, "no calibration"),
+    ],
+)
+def test_weights_that_do_not_fit_together_are_bad_input(tmp_path, monkeypatch, changes, named):
+    monkeypatch.chdir(tmp_path)
+    folder = save_untrained(tmp_path / "weights", **changes)
+    with pytest.raises(ScenarioError, match=named):
+        pick_place.main(parse(["--weights", str(folder)]))
+
+
+def test_error_of_several_lines_becomes_one(capsys):
+    assert pick_place._bad_input(ValueError("one\n   two")) == 2
+    assert capsys.readouterr().err == "error: one two\n"
+
+
+def test_defaults():
+    cli = parse([])
+    assert (cli.rnn, cli.disturbance, cli.seed, cli.can, cli.vacant) == ("lstm", "A", 0, None, None)
+    assert (cli.video, cli.json, cli.meshcat, cli.realtime_rate) == (None, None, False, 0.0)
+    assert {path.parent.name for path in (cli.graphviz, cli.record, cli.plot)} == {"outputs"}
+    assert cli.graphviz.suffix == ".svg"
+
+
+def test_options_go_over_the_file_and_the_file_over_the_defaults(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text("seed: 7\nvacant: right\ncan: [0.5, 0.02]\nworld:\n  regulator: {state_weight: 2.0}\n")
+    cli = parse(["--scenario", str(path), "--seed", "8", "--world.regulator.input-weight", "180"])
+    assert (cli.seed, cli.vacant, list(cli.can)) == (8, "right", [0.5, 0.02])
+    assert cli.disturbance == "A"
+    assert (cli.world.regulator.state_weight, cli.world.regulator.input_weight) == (2.0, 180.0)
+    assert cli.world.timing.period == 0.1
+
+
+def test_every_option_of_the_issue_is_understood():
+    words = """--rnn gru --disturbance B --seed 3 --can 0.5 0.01 --vacant left --graphviz g.dot --video v.mp4 --meshcat
+        --record r.html --plot p.png --realtime-rate 1.0 --json o.json"""
+    cli = parse(words.split())
+    assert (cli.rnn, cli.disturbance, cli.seed, list(cli.can), cli.vacant) == ("gru", "B", 3, [0.5, 0.01], "left")
+    assert [str(p) for p in (cli.graphviz, cli.video, cli.record, cli.plot, cli.json)] == [
+        "g.dot", "v.mp4", "r.html", "p.png", "o.json",
+    ]  # fmt: skip
+    assert (cli.meshcat, cli.realtime_rate) == (True, 1.0)
+    for rnn in RNNS:
+        assert parse(["--rnn", rnn]).rnn == rnn
+
+
+def test_a_negative_rate_is_refused():
+    with pytest.raises(ScenarioError, match=r"real-time rate -1\.0 is negative"):
+        parse(["--realtime-rate", "-1"])
+
+
+def test_failed_task_has_code_1_and_a_whole_summary(tmp_path, untrained):
+    """Networks that learned nothing: the detector notices at once, the arm stays at home for a minute."""
+    done = start(tmp_path, "--weights", untrained, "--disturbance", "none", "--json", "new/outcome.json")
+    assert done.returncode == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    outcome = json.loads((tmp_path / "new" / "outcome.json").read_text())
+    assert set(outcome) >= FIELDS
+    assert (outcome["success"], outcome["picked"], outcome["switched"], outcome["home"]) == (False, False, True, True)
+    assert (outcome["failure"], outcome["sim_seconds"]) == ("false switch", 60.0)
+    assert "task failed (false switch): picked no, placed no, at the initial posture yes" in done.stdout
+    assert "60.0 s  time is up" in done.stdout.replace("59.9", "60.0")
+    for name in ("replay.html", "timeline.png", "diagram.svg"):
+        assert (tmp_path / "outputs" / name).stat().st_size > 1000
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    """The program with no argument but --json, on the shipped weights, twice: (folder, what it printed)."""
+    for name in ("cae", "lstm"):
+        path = WEIGHTS / f"{name}.safetensors"
+        assert path.is_file(), (
+            f"{path} is not there: the weights belong to the repository (see the README for training)"
+        )
+    runs = []
+    for n in range(2):
+        folder = tmp_path_factory.mktemp(f"run_{n}")
+        runs.append((folder, start(folder, "--json", "outputs/outcome.json")))
+    return runs
+
+
+def outcome_of(run):
+    return json.loads((run[0] / "outputs" / "outcome.json").read_text())
+
+
+def test_main_job_is_done(shipped):
+    _, done = shipped[0]
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    for words in (
+        "subtask 1", "picked; subtask 2", "disturbs the arm", "switched to the LQR", "at the initial posture",
+        "the network resumes", "placed", "task done",
+    ):  # fmt: skip
+        assert words in done.stdout
+
+
+def test_outcome_is_that_of_the_issue(shipped):
+    outcome = outcome_of(shipped[0])
+    assert set(outcome) >= FIELDS
+    assert (outcome["seed"], outcome["rnn"], outcome["detector"], outcome["disturbance"]) == (0, "lstm", "recall", "A")
+    flags = ("picked", "placed", "home", "success", "switched", "returned", "resumed", "switch_success")
+    assert all(outcome[name] is True for name in flags)
+    assert len(outcome["can_xy"]) == 2
+    assert outcome["vacant"] in ("left", "right")
+    assert outcome["false_switches"] == 0
+    assert 0.0 <= outcome["detection_delay_s"] < 3.0
+    assert 0.0 <= outcome["alpha_max_before"] < 0.5
+    assert len(outcome["weights_hash"]) == 64
+    assert outcome["sim_seconds"] / outcome["wall_seconds"] == pytest.approx(outcome["realtime_factor"])
+
+
+def test_pictures_are_there(shipped):
+    outputs = shipped[0][0] / "outputs"
+    assert (outputs / "timeline.png").read_bytes().startswith(PNG)
+    assert "switched_controller" in (outputs / "diagram.svg").read_text()
+    page = (outputs / "replay.html").read_text()
+    assert page.lstrip().startswith("<!DOCTYPE html>")
+    assert '<script src="http' not in page  # it opens offline
+
+
+def test_second_run_is_the_same(shipped):
+    first, second = (outcome_of(run) for run in shipped)
+    for name in ("wall_seconds", "realtime_factor"):
+        first.pop(name)
+        second.pop(name)
+    assert first == second
