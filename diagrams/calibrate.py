@@ -54,10 +54,8 @@ def main(arguments: CalibrateArguments) -> int:
 
         rnn = Policy(policy).name
         jobs = [Job(base + i, kind, rnn) for i in range(count)]
-        results = run_jobs(world, arguments.encoder, policy, jobs, workers=arguments.workers, calibration=calibration)
-        results = list(
-            tqdm(results, total=count, desc=f"{policy.stem} {kind}", unit="episode", leave=False, disable=None)
-        )
+        runs = run_jobs(world, arguments.encoder, policy, jobs, workers=arguments.workers, calibration=calibration)
+        results = list(tqdm(runs, total=count, desc=f"{policy.stem} {kind}", unit="episode", leave=False, disable=None))
         return sorted(results, key=lambda r: r.job.seed)
 
     best: tuple[tuple[int, float], Path, list[Result]] | None = None

@@ -37,7 +37,7 @@ class Clearance:
     def _can(self, name: str):
         return self._plant.GetBodyByName("can", self._plant.GetModelInstanceByName(name))
 
-    def set_scene(self, can_xy: np.ndarray | None, vacant: str) -> None:
+    def set_scene(self, can_xy: np.ndarray | tuple[float, float] | None, vacant: str) -> None:
         """Where the cans stand; `can_xy` (2, m, world) or None: the can is in the hand."""
         occupied = next(s for s in SPOTS if s != vacant)
         spot = self._plant.GetFrameByName(f"{occupied}_spot").CalcPoseInWorld(self._plant_context).translation()
@@ -51,7 +51,7 @@ class Clearance:
     def touched(self, joints: np.ndarray) -> str | None:
         """Name of a model that the arm at `joints` (7, rad) touches, with or without the can that it holds; None if clear."""
         self._plant.SetPositions(self._plant_context, self._arm, joints)
-        moving = MOVING
+        moving: tuple[str, ...] = MOVING
         if self._held:
             X_WG = self._plant.GetFrameByName("grasp").CalcPoseInWorld(self._plant_context)
             # The hand holds the can a little above its middle, upright when the hand leans as in the demonstrations.

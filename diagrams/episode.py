@@ -28,7 +28,7 @@ RESUME_SECONDS = 6.0  # after the arm is at its initial posture
 
 FAILURES = (
     "false switch", "not disturbed", "not detected", "not returned", "not resumed",
-    "can toppled", "missed grasp", "misplaced", "neighbour moved", "stalled", "time",
+    "can toppled", "missed grasp", "misplaced", "neighbour moved", "stalled", "time", "simulation diverged",
 )  # fmt: skip
 
 

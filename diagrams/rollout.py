@@ -148,18 +148,25 @@ class Rollout:
         logs: dict[str, list] = {name: [] for name in names}
         squared: list[np.ndarray] = []
         narrator = _Narrator(monitor, CAN_HALF_HEIGHT, on_event)
-        size, success, taken = self.policy.posture_size, False, False
+        size, success, taken, diverged = self.policy.posture_size, False, False, False
         scaling, k = self.policy.scaling, 0
         disturbed = episode.disturbance.kind != "none"
         limit = round(TIME_LIMIT / period)
         extra, switching = 0, None
         while k < limit + extra and not success:
-            # At the tick, before its update: the features that the update will use, from one rendering for both.
-            self.simulator.AdvanceTo(k * period)
             get = self.controller.GetOutputPort
-            logs["features"].append(get("features").Eval(controller).copy())
-            # In the middle of the tick: every other output holds from the update to the next one.
-            self.simulator.AdvanceTo((k + 0.5) * period)
+            try:
+                # At the tick, before its update: the features that the update will use, from one rendering for both.
+                self.simulator.AdvanceTo(k * period)
+                features = get("features").Eval(controller).copy()
+                # In the middle of the tick: every other output holds from the update to the next one.
+                self.simulator.AdvanceTo((k + 0.5) * period)
+            except RuntimeError as error:
+                if "non-finite" not in str(error):
+                    raise
+                diverged = True  # something hard was squeezed between hard things; what came before is kept
+                break
+            logs["features"].append(features)
             history = get("posture_history").Eval(controller).reshape(-1, size)
             recalled = get("recalled_postures").Eval(controller).reshape(-1, size)
             posture = scaling.unscale(history[0])
@@ -190,11 +197,15 @@ class Rollout:
             if on_tick is not None:
                 on_tick(k)
         switching = self._switching(rows, disturbed)
-        narrator.say((k - 1) * period, "task done" if success else "time is up")
+        narrator.say(
+            (k - 1) * period, "task done" if success else "the simulation diverged" if diverged else "time is up"
+        )
         arrays = {name: np.array(values) for name, values in {**rows, **logs}.items()}
         arrays.pop("at_home")
         record = Record(time=period * np.arange(k), squared_errors=np.array(squared), events=narrator.events, **arrays)
         outcome = self._outcome(episode, monitor, record, switching, success)
+        if diverged and switching.failure in (None, "not disturbed"):
+            outcome.failure = "simulation diverged"
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
@@ -216,7 +227,7 @@ class Rollout:
             rnn=episode.rnn,
             detector=episode.detector,
             disturbance=episode.disturbance.kind,
-            can_xy=tuple(float(v) for v in episode.can_xy),
+            can_xy=(float(episode.can_xy[0]), float(episode.can_xy[1])),
             vacant=episode.vacant,
             picked=bool(lifted.any()),
             placed=monitor.placed(cans),

@@ -81,7 +81,7 @@ class Teacher:
         place = station.spot(lesson.vacant)
         neighbour = station.spot(next(s for s in SPOTS if s != lesson.vacant))
         monitor = TaskMonitor(place, neighbour, world.initial_posture)
-        goals = ([*can_xy, CAN_HALF_HEIGHT], place)
+        goals = (np.array([*can_xy, CAN_HALF_HEIGHT]), place)
         actions = np.vstack(
             [
                 demonstration.commands(demonstration.subtask_waypoints(world, self.hand, goal, n + 1), steps)

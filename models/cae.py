@@ -36,23 +36,35 @@ class ConvolutionalAutoencoder(nn.Module):
         encoder: list[tuple[str, nn.Module]] = []
         for i in range(3):
             # Batch norm has its own offset, so no layer before one needs a bias.
-            encoder += [(f"conv{i}", nn.Conv2d(down[i], down[i + 1], padding=1, bias=False, **_KERNEL)),
-                        (f"conv{i}_norm", nn.BatchNorm2d(down[i + 1])), (f"conv{i}_relu", nn.ReLU())]
-        encoder += [("flatten", nn.Flatten()),
-                    ("full", nn.Linear(flat, HIDDEN, bias=False)),
-                    ("full_norm", nn.BatchNorm1d(HIDDEN)), ("full_relu", nn.ReLU()),
-                    ("feature", nn.Linear(HIDDEN, FEATURE_SIZE, bias=False)),
-                    ("feature_norm", nn.BatchNorm1d(FEATURE_SIZE)),
-                    ("feature_activation", _ACTIVATIONS[feature_activation]())]
+            encoder += [
+                (f"conv{i}", nn.Conv2d(down[i], down[i + 1], padding=1, bias=False, **_KERNEL)),
+                (f"conv{i}_norm", nn.BatchNorm2d(down[i + 1])),
+                (f"conv{i}_relu", nn.ReLU()),
+            ]
+        encoder += [
+            ("flatten", nn.Flatten()),
+            ("full", nn.Linear(flat, HIDDEN, bias=False)),
+            ("full_norm", nn.BatchNorm1d(HIDDEN)),
+            ("full_relu", nn.ReLU()),
+            ("feature", nn.Linear(HIDDEN, FEATURE_SIZE, bias=False)),
+            ("feature_norm", nn.BatchNorm1d(FEATURE_SIZE)),
+            ("feature_activation", _ACTIVATIONS[feature_activation]()),
+        ]
         decoder: list[tuple[str, nn.Module]] = [
             ("full0", nn.Linear(FEATURE_SIZE, HIDDEN, bias=False)),
-            ("full0_norm", nn.BatchNorm1d(HIDDEN)), ("full0_relu", nn.ReLU()),
+            ("full0_norm", nn.BatchNorm1d(HIDDEN)),
+            ("full0_relu", nn.ReLU()),
             ("full1", nn.Linear(HIDDEN, flat, bias=False)),
-            ("full1_norm", nn.BatchNorm1d(flat)), ("full1_relu", nn.ReLU()),
-            ("unflatten", nn.Unflatten(1, (CHANNELS[2], 12, 12)))]
+            ("full1_norm", nn.BatchNorm1d(flat)),
+            ("full1_relu", nn.ReLU()),
+            ("unflatten", nn.Unflatten(1, (CHANNELS[2], 12, 12))),
+        ]
         for i in range(2):
-            decoder += [(f"deconv{i}", nn.ConvTranspose2d(up[i], up[i + 1], padding=1, bias=False, **_KERNEL)),
-                        (f"deconv{i}_norm", nn.BatchNorm2d(up[i + 1])), (f"deconv{i}_relu", nn.ReLU())]
+            decoder += [
+                (f"deconv{i}", nn.ConvTranspose2d(up[i], up[i + 1], padding=1, bias=False, **_KERNEL)),
+                (f"deconv{i}_norm", nn.BatchNorm2d(up[i + 1])),
+                (f"deconv{i}_relu", nn.ReLU()),
+            ]
         # The picture itself is linear: ReLU has no gradient where a pixel is predicted too dark, and batch norm would
         # make the colour of one picture depend on the others in its batch.
         decoder.append(("output", nn.ConvTranspose2d(up[2], 3, padding=0, **_KERNEL)))

@@ -12,7 +12,7 @@ from torch import Tensor
 from models.cae import ConvolutionalAutoencoder, to_image
 from models.dataset import iterate_frames, read_demonstrations, read_header
 from models.training_setup import StepModule, TrainingOptions, fit, prepare, step_generator
-from models.weights import load_autoencoder, save_autoencoder
+from models.weights import save_autoencoder
 
 
 @dataclass(kw_only=True)
@@ -25,11 +25,6 @@ class CaeOptions(TrainingOptions):
         frame_stride: every so many-th frame of a demonstration is used (each demonstration with another phase).
         foreground_weight: weight of a pixel that differs from the median picture; 1 is the paper's plain MSE.
         foreground_threshold: from that difference on, of [0, 1], in any channel.
-        rarity: a pixel that differs more seldom than in common_share of the frames weighs more, up to so many times: the
-            arm's pixels would outvote the can's. 1 is off.
-        common_share: see rarity.
-        approach_share: share of a batch drawn from the frames before the fingers close: there the can's place matters.
-        start_from: autoencoder file whose weights are trained further.
         feature_activation: "tanh", or the paper's "relu".
         feature_noise: std of Gaussian noise on the features, which spreads them over their range.
         noise: std of Gaussian noise on the input pixels, of [0, 1].
@@ -43,10 +38,6 @@ class CaeOptions(TrainingOptions):
     frame_stride: int = 1
     foreground_weight: float = 16.0
     foreground_threshold: float = 0.08
-    rarity: float = 8.0
-    common_share: float = 0.3
-    approach_share: float = 0.5
-    start_from: Path | None = None
     feature_activation: str = "tanh"
     feature_noise: float = 0.03
     noise: float = 0.02
@@ -55,31 +46,17 @@ class CaeOptions(TrainingOptions):
     checkpoint_every: int = 200
 
 
-def load_frames(path: Path, stride: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Pictures of the training demonstrations in memory, uint8 (n, 112, 112, 3), and which of them, bool (n,), come before the fingers close."""
+def load_frames(path: Path, stride: int = 1) -> np.ndarray:
+    """Pictures of the training demonstrations in memory, uint8 (n, 112, 112, 3)."""
     demos = read_demonstrations(path, "train")
     phases = [i % stride for i in range(len(demos))]
     counts = [len(range(p, len(d.posture), stride)) for p, d in zip(phases, demos, strict=True)]
     frames = np.empty((sum(counts), 112, 112, 3), np.uint8)
-    approach = np.empty(len(frames), bool)
     row = 0
-    for demo, phase, count, rgb in zip(demos, phases, counts, iterate_frames(path, [d.name for d in demos]), strict=True):
+    for phase, count, rgb in zip(phases, counts, iterate_frames(path, [d.name for d in demos]), strict=True):
         frames[row : row + count] = rgb[phase::stride]
-        opening = demo.posture[:, -1]
-        closes = int(np.argmax(opening < 0.5 * opening[0])) or len(opening)
-        approach[row : row + count] = np.arange(len(opening))[phase::stride] < closes
         row += count
-    return frames, approach
-
-
-def rarity_map(frames: Tensor, median: Tensor, threshold: float, common_share: float, most: float, samples: int = 3000) -> Tensor:
-    """(1, 1, 112, 112): how many times more a differing pixel weighs there; see CaeOptions.rarity."""
-    picked = torch.linspace(0, len(frames) - 1, min(samples, len(frames))).long()
-    differs = sum(
-        ((to_image(frames[part]) - median).abs().amax(1, keepdim=True) > threshold).sum(0, keepdim=True)
-        for part in picked.split(250)
-    )
-    return (common_share * len(picked) / differs.clamp_min(1)).clamp(1.0, most)
+    return frames
 
 
 def median_image(frames: np.ndarray, samples: int = 501) -> np.ndarray:
@@ -104,39 +81,23 @@ class CaeModule(StepModule):
     """The autoencoder under training. Batches are uint8 (B, 112, 112, 3)."""
 
     median: Tensor
-    rarity: Tensor
 
-    def __init__(self, options: CaeOptions, frames: np.ndarray, approach: np.ndarray, metadata: dict) -> None:
-        super().__init__(max(1, options.max_images // options.batch_size), options.learning_rate,
-                         options.learning_rate / 100.0)
+    def __init__(self, options: CaeOptions, frames: np.ndarray, metadata: dict) -> None:
+        super().__init__(
+            max(1, options.max_images // options.batch_size), options.learning_rate, options.learning_rate / 100.0
+        )
         self.options, self.frames, self.metadata = options, torch.from_numpy(frames), metadata
-        self.approach = torch.from_numpy(np.flatnonzero(approach))
         self.model = ConvolutionalAutoencoder(options.feature_activation)
-        if options.start_from is not None:
-            self.model.load_state_dict(load_autoencoder(options.start_from)[0].state_dict())
         self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.register_buffer("median", to_image(torch.from_numpy(median_image(frames))[None]), persistent=False)
-        rarity = rarity_map(
-            self.frames, self.median, options.foreground_threshold, options.common_share, options.rarity
-        )
-        self.register_buffer("rarity", rarity, persistent=False)
 
     def make_batch(self, step: int) -> Tensor:
-        """Without repetition within a pass over the frames; a share of it from the approach."""
-        size = min(self.options.batch_size, len(self.frames))
-        approach = min(round(self.options.approach_share * size), len(self.approach))
-        rows = torch.cat((self._draw(step, len(self.frames), size - approach, 0),
-                          self.approach[self._draw(step, len(self.approach), approach, 1)]))
-        return self.frames[rows.sort().values]
-
-    def _draw(self, step: int, count: int, size: int, stream: int) -> Tensor:
-        """(size,) row numbers below `count`: the step's part of a permutation that changes with each pass."""
-        if size == 0:
-            return torch.empty(0, dtype=torch.long)
+        """Without repetition within a pass over the frames."""
+        size, count = min(self.options.batch_size, len(self.frames)), len(self.frames)
         per_pass = count // size
-        order = torch.randperm(count, generator=step_generator(self.options.seed, -1 - 2 * (step // per_pass) - stream))
+        order = torch.randperm(count, generator=step_generator(self.options.seed, -1 - step // per_pass))
         first = step % per_pass * size
-        return order[first:first + size]
+        return self.frames[order[first : first + size].sort().values]
 
     def training_step(self, batch: Tensor, _: int) -> Tensor:
         """Eq. 1 from an augmented to the clean picture, weighted."""
@@ -147,7 +108,7 @@ class CaeModule(StepModule):
         error = (self.model.decode(spread) - clean).square()
         # What stands still in all pictures is most of the area and tells nothing: the can is a few dozen pixels.
         moving = (clean - self.median).abs().amax(1, keepdim=True) > options.foreground_threshold
-        weight = 1.0 + (options.foreground_weight - 1.0) * moving * self.rarity
+        weight = 1.0 + (options.foreground_weight - 1.0) * moving
         loss = (weight * error).mean() / weight.mean()
         self.log("loss", loss.detach(), prog_bar=True)
         self.log("mse", error.detach().mean())
@@ -162,8 +123,8 @@ class CaeModule(StepModule):
 def train_cae(options: CaeOptions) -> Path:
     """Runs the training and returns the path of the weight file."""
     prepare(options)
-    frames, approach = load_frames(options.data, options.frame_stride)
+    frames = load_frames(options.data, options.frame_stride)
     metadata = {"training": options.as_metadata(), "data_hash": read_header(options.data).content_hash}
     print(f"{len(frames)} training frames, {frames.nbytes / 1e9:.2f} GB; {options.max_images} images to show")
-    fit(CaeModule(options, frames, approach, metadata), options, options.checkpoint_every, log_every=20)
+    fit(CaeModule(options, frames, metadata), options, options.checkpoint_every, log_every=20)
     return options.out / "cae.safetensors"

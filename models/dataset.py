@@ -66,8 +66,12 @@ def read_header(path: str | Path) -> DatasetHeader:
     with _open(path) as file:
         try:
             attributes: Any = file["data"].attrs
-            return DatasetHeader(np.array(attributes["initial_posture"], float), float(attributes["period"]),
-                                 str(attributes["content_hash"]), int(attributes["total"]))
+            return DatasetHeader(
+                np.array(attributes["initial_posture"], float),
+                float(attributes["period"]),
+                str(attributes["content_hash"]),
+                int(attributes["total"]),
+            )
         except KeyError as error:
             raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
 
@@ -81,11 +85,17 @@ def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demo
             for name in sorted(splits, key=lambda text: int(text.rsplit("_", 1)[1])):
                 if split in (None, splits[name]):
                     demo = file["data"][name]
-                    found.append(Demonstration(
-                        name=name, split=splits[name], can_xy=np.array(demo.attrs["can_xy"], float),
-                        vacant=str(demo.attrs["vacant"]),
-                        subtask_starts=tuple(int(k) for k in demo.attrs["subtask_starts"]),
-                        posture=np.array(demo["obs/posture"], float), actions=np.array(demo["actions"], float)))
+                    found.append(
+                        Demonstration(
+                            name=name,
+                            split=splits[name],
+                            can_xy=np.array(demo.attrs["can_xy"], float),
+                            vacant=str(demo.attrs["vacant"]),
+                            subtask_starts=tuple(int(k) for k in demo.attrs["subtask_starts"]),
+                            posture=np.array(demo["obs/posture"], float),
+                            actions=np.array(demo["actions"], float),
+                        )
+                    )
         except KeyError as error:
             raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
     if not found:
@@ -100,8 +110,9 @@ def iterate_frames(path: str | Path, names: Sequence[str], stop: int | None = No
             yield file["data"][name]["obs/rgb"][:stop]
 
 
-def subtask_ranges(demo: Demonstration, tolerance: float = TOLERANCE, start_ticks: int = START_TICKS,
-                   end_ticks: int = END_TICKS) -> list[tuple[int, int]]:
+def subtask_ranges(
+    demo: Demonstration, tolerance: float = TOLERANCE, start_ticks: int = START_TICKS, end_ticks: int = END_TICKS
+) -> list[tuple[int, int]]:
     """Tick ranges [start, stop) of the subtasks, their dwells cut to start_ticks and end_ticks.
 
     A tick dwells while every component is within tolerance of the subtask's first (last) posture. A long dwell at the

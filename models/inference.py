@@ -29,8 +29,9 @@ class _FoldedConvolution:
     def __call__(self, x: Tensor) -> Tensor:
         if not self.packed:
             return F.conv2d(x, self.weight, self.bias, 2, 1).relu_()
-        return torch.ops.mkldnn._convolution_pointwise(x, self.weight, self.bias, [1, 1], [2, 2], [1, 1], 1, "relu",
-                                                       [], "")
+        return torch.ops.mkldnn._convolution_pointwise(
+            x, self.weight, self.bias, [1, 1], [2, 2], [1, 1], 1, "relu", [], ""
+        )
 
 
 class _SparseFull:
@@ -55,7 +56,8 @@ class _SparseFull:
         flat = x.permute(0, 2, 3, 1).reshape(-1)
         active = torch.nonzero(flat).squeeze(1)
         total = torch.ops.quantized.embedding_bag_byte_rowwise_offsets(
-            self.table, active, self.offsets, False, 0, False, flat[active], None, False)
+            self.table, active, self.offsets, False, 0, False, flat[active], None, False
+        )
         return torch.addcmul(self.bias, total, self.gain)
 
 
@@ -82,10 +84,13 @@ class Encoder:
         stored = read_autoencoder(path)[0]
         layers: Any = self._model.encoder
         with torch.no_grad():
-            self._convolutions = [_FoldedConvolution(getattr(layers, f"conv{i}"), getattr(layers, f"conv{i}_norm"), n)
-                                  for i, n in enumerate((IMAGE_SIZE, 55, 26))]
-            self._full = _SparseFull(stored["encoder.full.weight"], stored["encoder.full.weight.row_scale"],
-                                     layers.full_norm)
+            self._convolutions = [
+                _FoldedConvolution(getattr(layers, f"conv{i}"), getattr(layers, f"conv{i}_norm"), n)
+                for i, n in enumerate((IMAGE_SIZE, 55, 26))
+            ]
+            self._full = _SparseFull(
+                stored["encoder.full.weight"], stored["encoder.full.weight.row_scale"], layers.full_norm
+            )
             gain, self._bias = _fold(layers.feature_norm)
             self._weight = layers.feature.weight * gain[:, None]
         self._activation = layers.feature_activation
@@ -105,8 +110,10 @@ class Encoder:
         """uint8 (B, 112, 112, 3) to features, float64 (B, 30); equal to encode up to float32 rounding."""
         _check(rgb, 4)
         with torch.inference_mode():
-            parts = [self._model.encode(to_image(torch.from_numpy(np.ascontiguousarray(rgb[i:i + batch]))))
-                     for i in range(0, len(rgb), batch)]
+            parts = [
+                self._model.encode(to_image(torch.from_numpy(np.ascontiguousarray(rgb[i : i + batch]))))
+                for i in range(0, len(rgb), batch)
+            ]
         return torch.cat(parts).double().numpy() if parts else np.empty((0, FEATURE_SIZE))
 
 
@@ -134,8 +141,11 @@ class Policy:
         self.hash = file_hash(path)
         stored = load_policy(path)
         if stored.recall is None:
-            raise WeightsError(path, "is a candidate without recall heads",
-                               "Train them: `python -m models.training recall --policy FILE`")
+            raise WeightsError(
+                path,
+                "is a candidate without recall heads",
+                "Train them: `python -m models.training recall --policy FILE`",
+            )
         self._rnn, self._heads = stored.rnn, stored.recall
         self.name = stored.rnn.name
         self.posture_size, self.feature_size = stored.rnn.posture_size, stored.rnn.feature_size

@@ -19,8 +19,17 @@ class LstmLoop(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, closed: Tensor, h: Tensor, c: Tensor, gates: Tensor, gates_bias: Tensor,
-                output: Tensor, output_bias: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        ctx: Any,
+        x: Tensor,
+        closed: Tensor,
+        h: Tensor,
+        c: Tensor,
+        gates: Tensor,
+        gates_bias: Tensor,
+        output: Tensor,
+        output_bias: Tensor,
+    ) -> tuple[Tensor, Tensor]:
         """Ticks where any sequence is closed take its own clipped prediction as that sequence's input."""
         ticks, batch, inputs = x.shape
         size = h.shape[1]
@@ -35,7 +44,7 @@ class LstmLoop(torch.autograd.Function):
         tanh_c = torch.empty_like(cs[1:])
         # Lists of views: taking one out of a tensor at each tick would cost as much as the arithmetic on it.
         h_list, c_list, tanh_list, y_list, x_list, closed_list = (a.unbind(0) for a in (hs, cs, tanh_c, y, x, closed))
-        sigmoids, cells = activation[..., :3 * size].unbind(0), activation[..., 3 * size:].unbind(0)
+        sigmoids, cells = activation[..., : 3 * size].unbind(0), activation[..., 3 * size :].unbind(0)
         parts = [row.unbind(1) for row in activation.view(ticks, batch, 4, size).unbind(0)]
         for k, row in enumerate(activation.unbind(0)):
             if loops[k]:
@@ -71,8 +80,22 @@ class LstmLoop(torch.autograd.Function):
         grad_h = (grad_y.view(-1, len(output)) @ output).view(ticks, batch, size) + grad_states[..., :size]
         grad_gates = torch.empty_like(activation)
         split = grad_gates.view(ticks, batch, 4, size)
-        rows = [a.unbind(0) for a in (by_c, by_h, h_to_c, f, grad_h, grad_states[..., size:], grad_gates,
-                                      split[:, :, 0], split[:, :, 1:], inside, grad_y)]
+        rows = [
+            a.unbind(0)
+            for a in (
+                by_c,
+                by_h,
+                h_to_c,
+                f,
+                grad_h,
+                grad_states[..., size:],
+                grad_gates,
+                split[:, :, 0],
+                split[:, :, 1:],
+                inside,
+                grad_y,
+            )
+        ]
         by_c_k, by_h_k, h_to_c_k, f_k, grad_h_k, grad_c_k, gates_k, output_gate_k, others_k, inside_k, grad_y_k = rows
         dh, dc = grad_h_k[-1], grad_c_k[-1].clone()
         for k in range(ticks - 1, -1, -1):
@@ -89,5 +112,13 @@ class LstmLoop(torch.autograd.Function):
                 dh.addmm_(back, output)
         flat, flat_y, outputs = grad_gates.view(ticks * batch, -1), grad_y.view(ticks * batch, -1), hs[1:]
         grad_gates_weight = torch.cat((flat.t() @ x.view(-1, inputs), flat.t() @ hs[:-1].reshape(-1, size)), 1)
-        return (None, None, None, None, grad_gates_weight, flat.sum(0),
-                flat_y.t() @ outputs.reshape(-1, size), flat_y.sum(0))
+        return (
+            None,
+            None,
+            None,
+            None,
+            grad_gates_weight,
+            flat.sum(0),
+            flat_y.t() @ outputs.reshape(-1, size),
+            flat_y.sum(0),
+        )

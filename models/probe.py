@@ -91,9 +91,12 @@ def probe(options: ProbeOptions) -> dict[str, float]:
     guess = regress(f_train, y_train, f_valid, np.random.default_rng(1).permutation(groups.max() + 1)[groups])
     error = 1000.0 * np.linalg.norm(guess[:, :2] - y_valid[:, :2], axis=1)
     return {
-        "median_mm": float(np.median(error)), "p95_mm": float(np.percentile(error, 95)),
-        "max_mm": float(error.max()), "vacant_accuracy": float(np.mean((guess[:, 2] > 0) == (y_valid[:, 2] > 0))),
-        "least_feature_std": float(f_train.std(0).min()), "positions": float(len(error) // options.ticks),
+        "median_mm": float(np.median(error)),
+        "p95_mm": float(np.percentile(error, 95)),
+        "max_mm": float(error.max()),
+        "vacant_accuracy": float(np.mean((guess[:, 2] > 0) == (y_valid[:, 2] > 0))),
+        "least_feature_std": float(f_train.std(0).min()),
+        "positions": float(len(error) // options.ticks),
     }
 
 
@@ -107,9 +110,11 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(f"can at held-out positions: median {result['median_mm']:.1f} mm, p95 {result['p95_mm']:.1f} mm, "
-          f"largest {result['max_mm']:.1f} mm; vacant spot {100 * result['vacant_accuracy']:.1f} % right; "
-          f"least std of a feature {result['least_feature_std']:.3f}")
+    print(
+        f"can at held-out positions: median {result['median_mm']:.1f} mm, p95 {result['p95_mm']:.1f} mm, "
+        f"largest {result['max_mm']:.1f} mm; vacant spot {100 * result['vacant_accuracy']:.1f} % right; "
+        f"least std of a feature {result['least_feature_std']:.3f}"
+    )
     if options.json is not None:
         options.json.write_text(json.dumps(result, indent=2) + "\n")
     return 0

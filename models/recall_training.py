@@ -88,8 +88,8 @@ class RecallModule(StepModule):
         with torch.no_grad():
             states = run(rnn, batch, self.pool[start])[1]
             self.pool[end] = states[batch.last, torch.arange(states.shape[1])]
-        valid = batch.valid[:len(states)] > 0
-        target = recall_targets(batch.clean[:len(states)], self.options.horizon)
+        valid = batch.valid[: len(states)] > 0
+        target = recall_targets(batch.clean[: len(states)], self.options.horizon)
         loss = (self.heads(states[valid]) - target[valid]).square().mean()
         first = self.heads(rnn.initial_state(1)) - self.initial
         self.log("loss", loss.detach(), prog_bar=True)
@@ -110,8 +110,8 @@ def recall_errors(policy: StoredPolicy, pack: SequencePack) -> Tensor:
     initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
     batch = make_batch(pack, initial, JOINTS, None, torch.Generator())
     _, states = run(policy.rnn, batch, policy.rnn.initial_state(len(pack.length)))
-    valid = batch.valid[:len(states)] > 0
-    target = recall_targets(batch.clean[:len(states)], policy.recall.horizon)
+    valid = batch.valid[: len(states)] > 0
+    target = recall_targets(batch.clean[: len(states)], policy.recall.horizon)
     error = policy.recall(states[valid]) - target[valid]
     return error[..., :JOINTS].square().mean((0, 2))
 
@@ -132,12 +132,14 @@ def train_recall(options: RecallOptions) -> list[Path]:
             continue
         prepare(options)  # the same heads for a candidate whether others came before it or not
         target = policy.metadata.get("training", {}).get("target", "posture")
-        train, valid, _ = prepare_sequences(options, encoder, policy.scaling, policy.initial_posture,
-                                            policy.regulator_gain, target, content_hash)
+        train, valid, _ = prepare_sequences(
+            options, encoder, policy.scaling, policy.initial_posture, policy.regulator_gain, target, content_hash
+        )
         policy.metadata["recall_training"] = options.as_metadata()
-        fit(RecallModule(options, train, policy, out), options, options.checkpoint_every,
-            name=out.stem)
+        fit(RecallModule(options, train, policy, out), options, options.checkpoint_every, name=out.stem)
         rms = recall_errors(policy, valid).sqrt().tolist()
-        print(f"{out}: rms recall error of the joints on validation, scaled, n = 1..{len(rms)}: "
-              + " ".join(f"{value:.4f}" for value in rms))
+        print(
+            f"{out}: rms recall error of the joints on validation, scaled, n = 1..{len(rms)}: "
+            + " ".join(f"{value:.4f}" for value in rms)
+        )
     return written

@@ -74,7 +74,7 @@ class LSTM(RecurrentNetwork):
         self.gates = nn.Linear(self.input_size + units, 4 * units)  # rows: output, input, forget, cell
         _uniform(self.gates, 1.0 / math.sqrt(units))
         with torch.no_grad():
-            self.gates.bias[2 * units:3 * units] += 1.0  # remembers over a subtask from the first update on
+            self.gates.bias[2 * units : 3 * units] += 1.0  # remembers over a subtask from the first update on
 
     def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """See RecurrentNetwork.step."""
@@ -123,8 +123,15 @@ class MTRNN(RecurrentNetwork):
 
     name = "mtrnn"
 
-    def __init__(self, posture_size: int = 8, feature_size: int = 30, fast: int = 80, slow: int = 20,
-                 tau_fast: float = 2.0, tau_slow: float = 30.0) -> None:
+    def __init__(
+        self,
+        posture_size: int = 8,
+        feature_size: int = 30,
+        fast: int = 80,
+        slow: int = 20,
+        tau_fast: float = 2.0,
+        tau_slow: float = 30.0,
+    ) -> None:
         super().__init__(posture_size, feature_size, fast + slow, fast)
         self.sizes, self.tau = (fast, slow), (tau_fast, tau_slow)
         self.to_fast = nn.Linear(self.input_size + fast + slow, fast)

@@ -94,8 +94,9 @@ def encode_dataset(path: Path, encoder: Encoder, cache: Path, content_hash: str)
     return features
 
 
-def posture_scaling(demos: list[Demonstration], initial: np.ndarray, gain: float, margin: float,
-                    least_half_range: float) -> MinMaxScaling:
+def posture_scaling(
+    demos: list[Demonstration], initial: np.ndarray, gain: float, margin: float, least_half_range: float
+) -> MinMaxScaling:
     """Bounds (8,) that hold the postures and the network's output, which also makes up for the regulator's pull."""
     rows = []
     for demo in demos:
@@ -139,11 +140,11 @@ class RnnModule(StepModule):
         batch, start, end = data
         y, states = run(self.rnn, batch, self.pool[start])
         posture, feature = (part.mean(-1) for part in errors(y, batch, options.regulator_gain))
-        weight = batch.valid[:len(y)].clone()
-        early = weight[:options.start_ticks].sum() * options.start_weight
-        weight[:options.start_ticks] *= 1.0 + options.start_weight
+        weight = batch.valid[: len(y)].clone()
+        early = weight[: options.start_ticks].sum() * options.start_weight
+        weight[: options.start_ticks] *= 1.0 + options.start_weight
         posture_loss = (weight * posture).sum() / (weight.sum() - early)
-        feature_loss = (batch.valid[:len(y)] * feature).sum() / batch.valid.sum()
+        feature_loss = (batch.valid[: len(y)] * feature).sum() / batch.valid.sum()
         final = states[batch.last, torch.arange(states.shape[1])]
         state_loss = final.square().mean()
         self.pool[end] = final.detach()
@@ -165,8 +166,15 @@ class RnnModule(StepModule):
         save_policy(self.options.out / f"rnn-{step}.safetensors", self.policy)
 
 
-def prepare_sequences(options: Any, encoder: Encoder, scaling: MinMaxScaling | None, initial: np.ndarray, gain: float,
-                      target: str, content_hash: str) -> tuple[SequencePack, SequencePack, MinMaxScaling]:
+def prepare_sequences(
+    options: Any,
+    encoder: Encoder,
+    scaling: MinMaxScaling | None,
+    initial: np.ndarray,
+    gain: float,
+    target: str,
+    content_hash: str,
+) -> tuple[SequencePack, SequencePack, MinMaxScaling]:
     """Training and validation sequences, and the scaling (made from the training data if None is given)."""
     features = encode_dataset(options.data, encoder, options.features or options.out / "features.npz", content_hash)
     train, valid = (read_demonstrations(options.data, split) for split in ("train", "valid"))
@@ -182,18 +190,36 @@ def train_rnn(options: RnnOptions) -> Path:
     prepare(options)
     header, encoder = read_header(options.data), Encoder(options.encoder)
     started = None if options.start_from is None else load_policy(options.start_from)
-    train, valid, scaling = prepare_sequences(options, encoder, None if started is None else started.scaling,
-                                              header.initial_posture, options.regulator_gain, options.target,
-                                              header.content_hash)
+    train, valid, scaling = prepare_sequences(
+        options,
+        encoder,
+        None if started is None else started.scaling,
+        header.initial_posture,
+        options.regulator_gain,
+        options.target,
+        header.content_hash,
+    )
     rnn = make_rnn(options.rnn, len(header.initial_posture), encoder.feature_size)
     if started is not None:
         if started.rnn.name != options.rnn:
-            raise WeightsError(str(options.start_from), f"holds a network {started.rnn.name}, not {options.rnn}",
-                               "Give a candidate of that network")
+            raise WeightsError(
+                str(options.start_from),
+                f"holds a network {started.rnn.name}, not {options.rnn}",
+                "Give a candidate of that network",
+            )
         rnn.load_state_dict(started.rnn.state_dict())
-    policy = StoredPolicy(rnn, None, scaling, header.initial_posture, options.regulator_gain, encoder.hash,
-                          metadata={"training": options.as_metadata(), "data_hash": header.content_hash})
-    print(f"{len(train.length)} training and {len(valid.length)} validation sequences of "
-          f"{int(train.length.min())} to {int(train.length.max())} ticks")
+    policy = StoredPolicy(
+        rnn,
+        None,
+        scaling,
+        header.initial_posture,
+        options.regulator_gain,
+        encoder.hash,
+        metadata={"training": options.as_metadata(), "data_hash": header.content_hash},
+    )
+    print(
+        f"{len(train.length)} training and {len(valid.length)} validation sequences of "
+        f"{int(train.length.min())} to {int(train.length.max())} ticks"
+    )
     fit(RnnModule(options, train, valid, policy), options, options.checkpoint_every, clip=1.0)
     return options.out / f"rnn-{options.steps}.safetensors"

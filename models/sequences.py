@@ -40,8 +40,13 @@ class SequencePack:
         return SequencePack(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
 
 
-def pack_sequences(demos: list[Demonstration], features: dict[str, np.ndarray], scaling: MinMaxScaling,
-                   target: str = "posture", padding: int = 0) -> SequencePack:
+def pack_sequences(
+    demos: list[Demonstration],
+    features: dict[str, np.ndarray],
+    scaling: MinMaxScaling,
+    target: str = "posture",
+    padding: int = 0,
+) -> SequencePack:
     """Cuts demonstrations into trimmed subtasks; each gets `padding` ticks of rest after its end.
 
     Args:
@@ -63,12 +68,19 @@ def pack_sequences(demos: list[Demonstration], features: dict[str, np.ndarray], 
         after = np.minimum(np.minimum(np.arange(start, start + longest), stop - 1) + 1, last)
         posture = scaling.scale(demo.posture)
         commanded = scaling.scale(demo.actions)[now] if target == "action" else posture[after]
-        for part, value in zip(parts, (posture[now], features[demo.name][now], commanded, features[demo.name][after]),
-                               strict=True):
+        for part, value in zip(
+            parts, (posture[now], features[demo.name][now], commanded, features[demo.name][after]), strict=True
+        ):
             part.append(value)
     m, f, m_next, f_next = (torch.from_numpy(np.stack(part)).float() for part in parts)
-    return SequencePack(m, f, m_next, f_next, length=torch.tensor([stop - start for _, start, stop, _, _ in rows]),
-                        subtask=torch.tensor([row[-1] for row in rows]))
+    return SequencePack(
+        m,
+        f,
+        m_next,
+        f_next,
+        length=torch.tensor([stop - start for _, start, stop, _, _ in rows]),
+        subtask=torch.tensor([row[-1] for row in rows]),
+    )
 
 
 @dataclass(kw_only=True)
@@ -94,8 +106,8 @@ class Augmentation:
     joint_noise: float = 0.08
     knot_ticks: int = 12
     finger_noise: float = 0.4
-    feature_noise: float = 0.05
-    feature_slow_noise: float = 0.02
+    feature_noise: float = 0.12
+    feature_slow_noise: float = 0.3
     quiet_probability: float = 0.2
     closed_finger_probability: float = 0.2
     loop_probability: float = 0.4
@@ -134,8 +146,9 @@ def slow_noise(ticks: int, batch: int, size: int, every: int, generator: torch.G
     return knots[index, column] * (1.0 - part) + knots[index + 1, column] * part
 
 
-def make_batch(pack: SequencePack, initial: Tensor, joints: int, options: Augmentation | None,
-               generator: torch.Generator) -> Batch:
+def make_batch(
+    pack: SequencePack, initial: Tensor, joints: int, options: Augmentation | None, generator: torch.Generator
+) -> Batch:
     """Time-first batch of a pack (all its sequences), augmented unless options is None.
 
     Args:
@@ -162,7 +175,8 @@ def make_batch(pack: SequencePack, initial: Tensor, joints: int, options: Augmen
         loud = (~chance(options.quiet_probability)).float()[:, None]
         feature = feature + loud * (
             options.feature_noise * torch.randn(feature.shape, generator=generator)
-            + options.feature_slow_noise * slow_noise(ticks, batch, feature.shape[-1], options.knot_ticks, generator))
+            + options.feature_slow_noise * slow_noise(ticks, batch, feature.shape[-1], options.knot_ticks, generator)
+        )
         # After a recovery the finger may still be closed on nothing: it has to open again.
         until = torch.randint(1, 5, (batch,), generator=generator)
         shut = chance(options.closed_finger_probability) & (pack.subtask == 0) & (k < until)
@@ -185,9 +199,14 @@ def make_batch(pack: SequencePack, initial: Tensor, joints: int, options: Augmen
     pull = torch.zeros_like(seen)
     pull[..., :joints] = seen[..., :joints] - initial[:joints]
     return Batch(
-        x=torch.cat((posture, feature), -1), closed=closed[..., None],
-        target=torch.cat((pack.posture_target, pack.feature_target), -1).transpose(0, 1), pull=pull, clean=clean,
-        valid=(k < length).float(), last=length - 1)
+        x=torch.cat((posture, feature), -1),
+        closed=closed[..., None],
+        target=torch.cat((pack.posture_target, pack.feature_target), -1).transpose(0, 1),
+        pull=pull,
+        clean=clean,
+        valid=(k < length).float(),
+        last=length - 1,
+    )
 
 
 def run(rnn: RecurrentNetwork, batch: Batch, state: Tensor) -> tuple[Tensor, Tensor]:

@@ -118,8 +118,14 @@ class Checkpoint(Callback):
         module.export(trainer.global_step, final)
 
 
-def fit(module: StepModule, options: TrainingOptions, checkpoint_every: int, clip: float | None = None,
-        log_every: int = 50, name: str = "last") -> None:
+def fit(
+    module: StepModule,
+    options: TrainingOptions,
+    checkpoint_every: int,
+    clip: float | None = None,
+    log_every: int = 50,
+    name: str = "last",
+) -> None:
     """Trains to module.steps, from DIR/NAME.ckpt if there is one; metrics go to DIR/logs."""
     options.out.mkdir(parents=True, exist_ok=True)
     checkpoint = options.out / f"{name}.ckpt"
@@ -127,11 +133,20 @@ def fit(module: StepModule, options: TrainingOptions, checkpoint_every: int, cli
     if options.progress:
         callbacks.append(TQDMProgressBar(refresh_rate=10))
     trainer = lightning.Trainer(
-        accelerator=options.accelerator, devices=1, max_steps=module.steps, max_epochs=-1, callbacks=callbacks,
+        accelerator=options.accelerator,
+        devices=1,
+        max_steps=module.steps,
+        max_epochs=-1,
+        callbacks=callbacks,
         logger=CSVLogger(options.out, name="logs", flush_logs_every_n_steps=log_every),
-        log_every_n_steps=min(log_every, module.steps), enable_checkpointing=False,
-        enable_progress_bar=options.progress, enable_model_summary=False, gradient_clip_val=clip,
-        num_sanity_val_steps=0, use_distributed_sampler=False)
+        log_every_n_steps=min(log_every, module.steps),
+        enable_checkpointing=False,
+        enable_progress_bar=options.progress,
+        enable_model_summary=False,
+        gradient_clip_val=clip,
+        num_sanity_val_steps=0,
+        use_distributed_sampler=False,
+    )
     trainer.fit(module, ckpt_path=checkpoint if checkpoint.is_file() else None)
 
 
@@ -149,7 +164,10 @@ def keep_freed_memory() -> None:
 def prepare(options: TrainingOptions) -> None:
     """Threads, seed, and the quirks of Lightning that tell a user nothing."""
     keep_freed_memory()
-    warnings.filterwarnings("ignore", "(?s).*(isinstance\\(treespec|IterableDataset|resuming from a checkpoint|does not have many workers).*")
+    warnings.filterwarnings(
+        "ignore",
+        "(?s).*(isinstance\\(treespec|IterableDataset|resuming from a checkpoint|does not have many workers).*",
+    )
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     if options.threads > 0:
         torch.set_num_threads(options.threads)

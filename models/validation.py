@@ -34,9 +34,11 @@ def validate(rnn: RecurrentNetwork, pack: SequencePack, initial: Tensor, gain: f
     state = rnn.initial_state(len(pack.length))
     y, states = run(rnn, batch, state)
     posture, feature = errors(y, batch, gain)
-    valid = batch.valid[:len(y)]
-    result = {"open": _rms(posture, valid, joints),
-              "feature": float(((feature.mean(-1) * valid).sum() / valid.sum()).sqrt())}
+    valid = batch.valid[: len(y)]
+    result = {
+        "open": _rms(posture, valid, joints),
+        "feature": float(((feature.mean(-1) * valid).sum() / valid.sum()).sqrt()),
+    }
     final = states[batch.last, torch.arange(states.shape[1])]
     result |= _autonomous(rnn, batch, gain, joints)
     result["start"] = min(_start(rnn, batch, initial, gain, joints, s) for s in (state, final.roll(1, 0)))
@@ -46,8 +48,15 @@ def validate(rnn: RecurrentNetwork, pack: SequencePack, initial: Tensor, gain: f
 def _autonomous(rnn: RecurrentNetwork, batch: Batch, gain: float, joints: int) -> dict[str, float]:
     ticks, k = len(batch.x), torch.arange(len(batch.x))[:, None]
     closed = (k >= LOOP_FROM).expand(ticks, batch.x.shape[1])
-    looped = Batch(batch.x, closed[..., None], batch.target, batch.pull, batch.clean, batch.valid,
-                   torch.full_like(batch.last, ticks - 1))
+    looped = Batch(
+        batch.x,
+        closed[..., None],
+        batch.target,
+        batch.pull,
+        batch.clean,
+        batch.valid,
+        torch.full_like(batch.last, ticks - 1),
+    )
     y, _ = run(rnn, looped, rnn.initial_state(batch.x.shape[1]))
     posture, _ = errors(y, looped, gain)
     after = ((k > batch.last) & (k <= batch.last + REST)).float()
@@ -55,7 +64,7 @@ def _autonomous(rnn: RecurrentNetwork, batch: Batch, gain: float, joints: int) -
 
 
 def _command(y: Tensor, posture: Tensor, initial: Tensor, gain: float, joints: int) -> Tensor:
-    command = y[:, :posture.shape[1]].clone()
+    command = y[:, : posture.shape[1]].clone()
     command[:, :joints] -= gain * (posture[:, :joints] - initial[:joints])
     return command
 

@@ -101,8 +101,10 @@ def load_autoencoder(path: str | Path) -> tuple[ConvolutionalAutoencoder, dict[s
     """The autoencoder on its stored (dequantised) weights, in eval mode, and its metadata."""
     tensors, header = read_autoencoder(path)
     scales = {name: tensors.pop(name) for name in [n for n in tensors if n.endswith(_SCALE)]}
-    state = {name: dequantise(value, scales[name + _SCALE]) if value.dtype == torch.int8 else value.float()
-             for name, value in tensors.items()}
+    state = {
+        name: dequantise(value, scales[name + _SCALE]) if value.dtype == torch.int8 else value.float()
+        for name, value in tensors.items()
+    }
     model = ConvolutionalAutoencoder(header["feature_activation"])
     _fill(path, model, state)
     return model.eval(), header["metadata"]
@@ -125,14 +127,20 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
         for name, value in module.state_dict().items()
     }
     header = {
-        "kind": "policy", "rnn": policy.rnn.name, "posture_size": policy.rnn.posture_size,
-        "feature_size": policy.rnn.feature_size, "encoder_hash": policy.encoder_hash,
+        "kind": "policy",
+        "rnn": policy.rnn.name,
+        "posture_size": policy.rnn.posture_size,
+        "feature_size": policy.rnn.feature_size,
+        "encoder_hash": policy.encoder_hash,
         "recall": None if policy.recall is None else {"horizon": policy.recall.horizon, "hidden": policy.recall.hidden},
-        "lower": policy.scaling.lower.tolist(), "upper": policy.scaling.upper.tolist(),
+        "lower": policy.scaling.lower.tolist(),
+        "upper": policy.scaling.upper.tolist(),
         "initial_posture": np.asarray(policy.initial_posture, float).tolist(),
         "regulator_gain": float(policy.regulator_gain),
         "mean_errors": None if policy.mean_errors is None else np.asarray(policy.mean_errors, float).tolist(),
-        "beta": policy.beta, "gamma": policy.gamma, "metadata": policy.metadata,
+        "beta": policy.beta,
+        "gamma": policy.gamma,
+        "metadata": policy.metadata,
     }
     _write(path, tensors, header)
 
@@ -147,10 +155,17 @@ def load_policy(path: str | Path) -> StoredPolicy:
             recall = RecallHeads(rnn.state_size, rnn.posture_size, **header["recall"])
         mean_errors = header["mean_errors"]
         policy = StoredPolicy(
-            rnn=rnn.eval(), recall=recall, scaling=MinMaxScaling(header["lower"], header["upper"]),
-            initial_posture=np.array(header["initial_posture"], float), regulator_gain=float(header["regulator_gain"]),
-            encoder_hash=header["encoder_hash"], mean_errors=None if mean_errors is None else np.array(mean_errors),
-            beta=header["beta"], gamma=header["gamma"], metadata=header["metadata"])
+            rnn=rnn.eval(),
+            recall=recall,
+            scaling=MinMaxScaling(header["lower"], header["upper"]),
+            initial_posture=np.array(header["initial_posture"], float),
+            regulator_gain=float(header["regulator_gain"]),
+            encoder_hash=header["encoder_hash"],
+            mean_errors=None if mean_errors is None else np.array(mean_errors),
+            beta=header["beta"],
+            gamma=header["gamma"],
+            metadata=header["metadata"],
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(path, f"its metadata does not describe a policy ({error})", _RETRAIN) from error
     _fill(path, rnn, _part(tensors, "rnn."))
@@ -160,7 +175,7 @@ def load_policy(path: str | Path) -> StoredPolicy:
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name[len(prefix):]: value for name, value in tensors.items() if name.startswith(prefix)}
+    return {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def _write(path: str | Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
@@ -183,8 +198,12 @@ def _read(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any
     except (SafetensorError, OSError, ValueError) as error:
         raise WeightsError(path, f"the weight file is damaged ({error})", _RETRAIN) from error
     if header.get("format") != FORMAT or header.get("kind") != kind:
-        raise WeightsError(path, f"is a file of kind {header.get('kind')!r}, format {header.get('format')!r}, "
-                           f"where kind {kind!r}, format {FORMAT} is needed", "Give the file that was meant")
+        raise WeightsError(
+            path,
+            f"is a file of kind {header.get('kind')!r}, format {header.get('format')!r}, "
+            f"where kind {kind!r}, format {FORMAT} is needed",
+            "Give the file that was meant",
+        )
     if any(not torch.isfinite(value.float()).all() for value in tensors.values() if value.is_floating_point()):
         raise WeightsError(path, "holds weights that are not finite", _RETRAIN)
     return tensors, header
@@ -193,8 +212,9 @@ def _read(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any
 def _fill(path: str | Path, module: nn.Module, state: dict[str, Tensor]) -> None:
     own = module.state_dict()
     state = state | {name: value for name, value in own.items() if name.endswith("num_batches_tracked")}
-    bad = sorted(own.keys() ^ state.keys()) + sorted(n for n in own.keys() & state.keys()
-                                                     if own[n].shape != state[n].shape)
+    bad = sorted(own.keys() ^ state.keys()) + sorted(
+        n for n in own.keys() & state.keys() if own[n].shape != state[n].shape
+    )
     if bad:
         raise WeightsError(path, f"does not fit the network at {', '.join(bad[:4])}", _RETRAIN)
     module.load_state_dict(state)

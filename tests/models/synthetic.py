@@ -119,11 +119,23 @@ def write(path: Path, grid: int = 4, ticks: tuple[int, int] = (50, 60), pitch: f
             demo.create_dataset("obs/rgb", data=rgb, compression="lzf", chunks=(16, SIZE, SIZE, 3))
             demo.create_dataset("obs/posture", data=posture)
             demo.create_dataset("actions", data=actions)
-            demo.attrs.update(num_samples=len(rgb), can_xy=can, vacant=vacant, grid_index=[i, j], split=split,
-                              subtask_starts=[0, ticks[0]])
-        data.attrs.update(total=len(cells) * sum(ticks), env_args=json.dumps({"name": "synthetic"}), period=0.1,
-                          initial_posture=INITIAL_POSTURE, content_hash="00" * 32, seed=0,
-                          posture_names=json.dumps([f"joint_{n}" for n in range(7)] + ["opening"]))
+            demo.attrs.update(
+                num_samples=len(rgb),
+                can_xy=can,
+                vacant=vacant,
+                grid_index=[i, j],
+                split=split,
+                subtask_starts=[0, ticks[0]],
+            )
+        data.attrs.update(
+            total=len(cells) * sum(ticks),
+            env_args=json.dumps({"name": "synthetic"}),
+            period=0.1,
+            initial_posture=INITIAL_POSTURE,
+            content_hash="00" * 32,
+            seed=0,
+            posture_names=json.dumps([f"joint_{n}" for n in range(7)] + ["opening"]),
+        )
         for split, demos in names.items():
             file.create_dataset(f"mask/{split}", data=np.array(demos, "S"))
     return path

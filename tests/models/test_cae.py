@@ -16,8 +16,18 @@ def test_sizes_of_table_one() -> None:
                 assert layer.stride == (2, 2)
     with torch.inference_mode():
         image, feature = model(torch.rand(2, 3, 112, 112))
-    assert sizes == [(32, 55, 55), (64, 26, 26), (128, 12, 12), (1000,), (30,),
-                     (1000,), (18432,), (64, 26, 26), (32, 54, 54), (3, 112, 112)]
+    assert sizes == [
+        (32, 55, 55),
+        (64, 26, 26),
+        (128, 12, 12),
+        (1000,),
+        (30,),
+        (1000,),
+        (18432,),
+        (64, 26, 26),
+        (32, 54, 54),
+        (3, 112, 112),
+    ]
     assert image.shape == (2, 3, 112, 112)
     assert feature.shape == (2, 30)
     assert feature.abs().max() <= 1.0

@@ -20,8 +20,9 @@ def test_regression_finds_a_smooth_function_between_the_training_points() -> Non
     assert np.median(error) < 0.03
 
 
-def test_program_reports_and_writes_json(tmp_path: Path, data_file: Path, encoder_file: Path,
-                                         capsys: pytest.CaptureFixture[str]) -> None:
+def test_program_reports_and_writes_json(
+    tmp_path: Path, data_file: Path, encoder_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "probe.json"
     assert main(["--data", str(data_file), "--encoder", str(encoder_file), "--json", str(out)]) == 0
     assert "mm" in capsys.readouterr().out

@@ -37,8 +37,14 @@ def test_lstm_is_torch_s_lstm_cell() -> None:
 def test_gru_is_torch_s_gru_cell() -> None:
     torch.manual_seed(0)
     ours, cell = GRU(8, 30), torch.nn.GRUCell(38, 250)
-    cell.load_state_dict({"weight_ih": ours.from_input.weight, "bias_ih": ours.from_input.bias,
-                          "weight_hh": ours.from_hidden.weight, "bias_hh": ours.from_hidden.bias})
+    cell.load_state_dict(
+        {
+            "weight_ih": ours.from_input.weight,
+            "bias_ih": ours.from_input.bias,
+            "weight_hh": ours.from_hidden.weight,
+            "bias_hh": ours.from_hidden.bias,
+        }
+    )
     x, state = torch.randn(4, 38), 0.5 * torch.randn(4, 250)
     torch.testing.assert_close(ours.step(x, state)[1], cell(x, state))
 

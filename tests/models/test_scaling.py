@@ -7,8 +7,9 @@ from models.scaling import MinMaxScaling
 
 def test_maps_bounds_to_one_and_back() -> None:
     scaling = MinMaxScaling(np.array([-1.0, 0.0]), np.array([3.0, 0.08]))
-    np.testing.assert_allclose(scaling.scale(np.array([[-1.0, 0.0], [3.0, 0.08], [1.0, 0.04]])),
-                               [[-1, -1], [1, 1], [0, 0]], atol=1e-12)
+    np.testing.assert_allclose(
+        scaling.scale(np.array([[-1.0, 0.0], [3.0, 0.08], [1.0, 0.04]])), [[-1, -1], [1, 1], [0, 0]], atol=1e-12
+    )
     x = np.random.default_rng(0).normal(size=(5, 2))
     np.testing.assert_allclose(scaling.unscale(scaling.scale(x)), x)
 

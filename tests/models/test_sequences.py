@@ -10,8 +10,9 @@ from models.scaling import MinMaxScaling
 from models.sequences import Augmentation, SequencePack, errors, make_batch, pack_sequences, run, slow_noise
 from models.validation import validate
 
-QUIET = Augmentation(joint_noise=0, feature_noise=0, feature_slow_noise=0, closed_finger_probability=0,
-                     loop_probability=0)
+QUIET = Augmentation(
+    joint_noise=0, feature_noise=0, feature_slow_noise=0, closed_finger_probability=0, loop_probability=0
+)
 INITIAL = torch.zeros(8)
 
 
@@ -86,8 +87,9 @@ def test_loop_stretches_rest_and_hold() -> None:
 
 def test_closed_finger_at_the_start_of_the_first_subtask_only() -> None:
     pack = random_pack(40)
-    batch = make_batch(pack, INITIAL, 7, replace(QUIET, closed_finger_probability=1.0),
-                       torch.Generator().manual_seed(1))
+    batch = make_batch(
+        pack, INITIAL, 7, replace(QUIET, closed_finger_probability=1.0), torch.Generator().manual_seed(1)
+    )
     changed = (batch.x[..., 7] != pack.posture[..., 7].t()).sum(0)
     assert changed[pack.subtask == 1].eq(0).all()
     assert changed[pack.subtask == 0].min() == 1

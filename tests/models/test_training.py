@@ -21,8 +21,17 @@ from models.weights import WeightsError, load_autoencoder, load_policy, save_pol
 
 @pytest.fixture(scope="module")
 def rnn_options(data_file: Path, encoder_file: Path, tmp_path_factory: pytest.TempPathFactory) -> RnnOptions:
-    return RnnOptions(data=data_file, encoder=encoder_file, out=tmp_path_factory.mktemp("rnn"), rnn="mtrnn", steps=4,
-                      batch_size=4, checkpoint_every=2, validate_every=4, progress=False)
+    return RnnOptions(
+        data=data_file,
+        encoder=encoder_file,
+        out=tmp_path_factory.mktemp("rnn"),
+        rnn="mtrnn",
+        steps=4,
+        batch_size=4,
+        checkpoint_every=2,
+        validate_every=4,
+        progress=False,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +78,21 @@ def test_weighted_loss_counts_a_moving_pixel_sixteen_fold(data_file: Path, tmp_p
 
 
 def test_cae_trains_writes_and_resumes_bit_for_bit(data_file: Path, tmp_path: Path) -> None:
-    arguments = ["cae", "--data", str(data_file), "--max-images", "16", "--batch-size", "4", "--no-progress",
-                 "--checkpoint-every", "2", "--frame-stride", "10", "--out"]
+    arguments = [
+        "cae",
+        "--data",
+        str(data_file),
+        "--max-images",
+        "16",
+        "--batch-size",
+        "4",
+        "--no-progress",
+        "--checkpoint-every",
+        "2",
+        "--frame-stride",
+        "10",
+        "--out",
+    ]
     kept = tmp_path / "resumed"
     kept.mkdir()
     original = CaeModule.export
@@ -136,8 +158,15 @@ def test_rnn_resumes_bit_for_bit(rnn_options: RnnOptions, candidate: Path, tmp_p
 
 
 def test_recall_training_moves_no_main_weight(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
-    options = RecallOptions(data=rnn_options.data, out=tmp_path, policy=(candidate,), encoder=rnn_options.encoder,
-                            steps=3, batch_size=4, progress=False)
+    options = RecallOptions(
+        data=rnn_options.data,
+        out=tmp_path,
+        policy=(candidate,),
+        encoder=rnn_options.encoder,
+        steps=3,
+        batch_size=4,
+        progress=False,
+    )
     (path,) = train_recall(options)
     assert path == tmp_path / "policy-4.safetensors"
     before, after = load_policy(candidate).rnn.state_dict(), load_policy(path).rnn.state_dict()
@@ -148,12 +177,22 @@ def test_recall_training_moves_no_main_weight(rnn_options: RnnOptions, candidate
     assert path.stat().st_mtime_ns == written
 
 
-def test_recall_heads_learn(rnn_options: RnnOptions, candidate: Path, tmp_path: Path,
-                            capsys: pytest.CaptureFixture[str]) -> None:
+def test_recall_heads_learn(
+    rnn_options: RnnOptions, candidate: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     errors = []
     for steps in (1, 60):
-        train_recall(RecallOptions(data=rnn_options.data, out=tmp_path / str(steps), policy=(candidate,), batch_size=4,
-                                   encoder=rnn_options.encoder, steps=steps, progress=False))
+        train_recall(
+            RecallOptions(
+                data=rnn_options.data,
+                out=tmp_path / str(steps),
+                policy=(candidate,),
+                batch_size=4,
+                encoder=rnn_options.encoder,
+                steps=steps,
+                progress=False,
+            )
+        )
         errors.append(np.array(capsys.readouterr().out.strip().splitlines()[-1].split()[-10:], float))
     assert (errors[1] < 0.8 * errors[0]).all()
 
@@ -161,8 +200,16 @@ def test_recall_heads_learn(rnn_options: RnnOptions, candidate: Path, tmp_path: 
 def test_recall_refuses_another_encoder(rnn_options: RnnOptions, tmp_path: Path) -> None:
     save_policy(tmp_path / "rnn-1.safetensors", make_policy(recall=False))
     with pytest.raises(WeightsError, match="another autoencoder"):
-        train_recall(RecallOptions(data=rnn_options.data, out=tmp_path, policy=(tmp_path / "rnn-1.safetensors",),
-                                   encoder=rnn_options.encoder, steps=1, progress=False))
+        train_recall(
+            RecallOptions(
+                data=rnn_options.data,
+                out=tmp_path,
+                policy=(tmp_path / "rnn-1.safetensors",),
+                encoder=rnn_options.encoder,
+                steps=1,
+                progress=False,
+            )
+        )
 
 
 def test_learning_rate_ends_at_a_hundredth(data_file: Path, tmp_path: Path) -> None:

@@ -51,8 +51,11 @@ def test_policy_round_trip(tmp_path: Path, name: str) -> None:
     path = tmp_path / "p.safetensors"
     save_policy(path, policy)
     read = load_policy(path)
-    for a, b in zip([*policy.rnn.parameters(), *policy.recall.parameters()],
-                    [*read.rnn.parameters(), *read.recall.parameters()], strict=True):
+    for a, b in zip(
+        [*policy.rnn.parameters(), *policy.recall.parameters()],
+        [*read.rnn.parameters(), *read.recall.parameters()],
+        strict=True,
+    ):
         assert torch.equal(a.half().float() if a.ndim > 1 else a, b)
     np.testing.assert_array_equal(read.mean_errors, policy.mean_errors)
     np.testing.assert_array_equal(read.scaling.upper, policy.scaling.upper)

@@ -1,0 +1,27 @@
+"""Fixtures: the whole closed loop on networks of the real size that learned nothing; one thread, as everywhere at batch 1."""
+
+import pytest
+import torch
+from untrained import save_untrained
+
+from models.inference import Encoder, Policy
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_thread():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory):
+    return save_untrained(tmp_path_factory.mktemp("weights"))
+
+
+@pytest.fixture(scope="session")
+def encoder(weights):
+    return Encoder(weights / "cae.safetensors")
+
+
+@pytest.fixture(scope="session")
+def policy(weights):
+    return Policy(weights / "lstm.safetensors")
