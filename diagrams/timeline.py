@@ -68,7 +68,7 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
     height, last = 0, -np.inf
     for seconds, what in record.events:
         if any(word in what for word in LABELLED):
-            height = (height + 1) % 4 if seconds - last < 0.12 * t[-1] else 0
+            height = (height + 1) % 4 if seconds - last < 0.25 * t[-1] else 0
             last = seconds
             axes[0].text(
                 seconds,

@@ -11,7 +11,12 @@ from models.sequences import Augmentation, SequencePack, errors, make_batch, pac
 from models.validation import validate
 
 QUIET = Augmentation(
-    joint_noise=0, feature_noise=0, feature_slow_noise=0, closed_finger_probability=0, loop_probability=0
+    finger_noise=0.0,
+    joint_noise=0,
+    feature_noise=0,
+    feature_slow_noise=0,
+    closed_finger_probability=0,
+    loop_probability=0,
 )
 INITIAL = torch.zeros(8)
 
@@ -46,12 +51,12 @@ def test_without_augmentation_inputs_are_the_data() -> None:
         assert batch.valid.sum(0).tolist() == [55, 56, 57, 58, 59, 60]
 
 
-def test_noise_has_the_asked_size_and_never_touches_targets_or_finger() -> None:
+def test_noise_has_the_asked_size_and_never_touches_targets() -> None:
     pack = random_pack(64)
-    options = replace(QUIET, joint_noise=0.08, feature_noise=0.05, quiet_probability=0.0)
+    options = replace(QUIET, joint_noise=0.08, finger_noise=0.4, feature_noise=0.05, quiet_probability=0.0)
     batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
     noise = batch.x - torch.cat((pack.posture, pack.feature), -1).transpose(0, 1)
-    assert not noise[..., 7].any()
+    assert noise[..., 7].std().item() == pytest.approx(0.4 * (2 / 3) ** 0.5, rel=0.1)
     assert noise[..., :7].std().item() == pytest.approx(0.08 * (2 / 3) ** 0.5, rel=0.1)  # of knots joined by lines
     assert noise[..., 8:].std().item() == pytest.approx(0.05, rel=0.05)
     torch.testing.assert_close(batch.target[..., :8], pack.posture_target.transpose(0, 1))
