@@ -2,9 +2,10 @@
 
     python diagrams/calibrate.py --candidates runs/lstm/policy-*.safetensors --out models/weights/lstm.safetensors
 
-1. Each candidate runs undisturbed validation episodes with the detector off; the one that finishes most (then: fastest) is taken.
+1. Each candidate runs undisturbed validation episodes with the detector off; those that finish most go on.
 2. Mean errors, Eq. 5, are averages over those runs.
 3. gamma: the geometric middle between the largest error ratio of normal runs and the smallest of disturbed runs, on validation episodes.
+4. Of those that go on, the one that finishes most disturbed validation episodes with its calibration (then: fastest undisturbed) is taken.
 Validation seeds are no evaluation's seeds (diagrams/draws.py).
 """
 
@@ -17,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from diagrams.draws import SEED_BASE
+from diagrams.draws import episode_seeds
 from diagrams.scenario import ROOT, ScenarioError, World
 from diagrams.workers import Calibration, Job, Result, run_jobs
 from models.weights import WeightsError, load_policy, save_policy
@@ -35,82 +36,125 @@ class CalibrateArguments:
     out: Path  # the calibrated copy of the best one
     encoder: Path = ROOT / "models" / "weights" / "cae.safetensors"
     episodes: int = 12  # undisturbed validation episodes a candidate
-    disturbed: int = 16  # validation episodes of each of A and B
+    disturbed: int = 12  # validation episodes of each of A and B
     seed: int = 0
     workers: int = 2
 
 
-def main(arguments: CalibrateArguments) -> int:
-    """Writes `arguments.out`."""
-    from models.inference import Policy
+@dataclass
+class Calibrated:
+    """A candidate with its calibration; error ratios are l_n / mean l_n, the largest over n and ticks of a run."""
 
-    world = World()
-    base = SEED_BASE["validation"] + 10_000 * arguments.seed
-    horizon = Policy(arguments.candidates[0]).horizon
-    off = Calibration((1.0,) * (horizon + 1), BETA, OFF)
+    mean_errors: np.ndarray  # (N + 1,) scaled units squared
+    gamma: float
+    normal_peaks: np.ndarray  # of the undisturbed runs that ended in success
+    disturbed_peaks: dict[str, np.ndarray]  # by kind
 
-    def run(policy: Path, kind: str, count: int, calibration: Calibration) -> list[Result]:
+
+class Calibrator:
+    """Runs validation episodes of candidates."""
+
+    def __init__(self, arguments: CalibrateArguments):
+        self.arguments, self.world = arguments, World()
+        self._seeds = episode_seeds("validation", arguments.seed, max(arguments.episodes, arguments.disturbed))
+        self.first_seed = self._seeds[0]
+
+    def run(
+        self, policy: Path, kind: str, calibration: Calibration | None = None, detection_only: bool = False
+    ) -> list[Result]:
+        """Episodes of one kind in the order of their seeds; without a calibration the detector is off."""
         from tqdm import tqdm
 
-        rnn = Policy(policy).name
-        jobs = [Job(base + i, kind, rnn) for i in range(count)]
-        runs = run_jobs(world, arguments.encoder, policy, jobs, workers=arguments.workers, calibration=calibration)
+        from models.inference import Policy
+
+        network = Policy(policy)
+        count = self.arguments.episodes if kind == "none" else self.arguments.disturbed
+        jobs = [Job(seed, kind, network.name, detection_only) for seed in self._seeds[:count]]
+        calibration = calibration or Calibration((1.0,) * (network.horizon + 1), BETA, OFF)
+        runs = run_jobs(
+            self.world, self.arguments.encoder, policy, jobs, workers=self.arguments.workers, calibration=calibration
+        )
         results = list(tqdm(runs, total=count, desc=f"{policy.stem} {kind}", unit="episode", leave=False, disable=None))
         return sorted(results, key=lambda r: r.job.seed)
 
-    best: tuple[tuple[int, float], Path, list[Result]] | None = None
-    selection = {}
+    def calibrate(self, policy: Path, normal: list[Result]) -> Calibrated:
+        """Mean errors and gamma of a candidate from its undisturbed runs and from disturbed ones, detector off."""
+        done = [r for r in normal if r.outcome.success]
+        mean_errors = np.sum([r.squared_error_sum for r in done], axis=0) / sum(r.ticks for r in done)
+        peaks = np.array([np.max(r.peak_normal / mean_errors) for r in done])
+        print(
+            f"{policy.name}: normal error ratios peak at {np.median(peaks):.1f} (median), {peaks.max():.1f} (largest)"
+        )
+        reached = {}
+        for kind in ("A", "B"):
+            found = [r.peak_disturbed for r in self.run(policy, kind, detection_only=True)]
+            ratios = reached[kind] = np.array([np.max(p / mean_errors) for p in found if p is not None])
+            print(
+                f"  disturbance {kind}: ratios reach {np.sort(ratios)[:4].round(1)} (smallest), {np.median(ratios):.0f} (median)"
+            )
+        smallest = float(np.quantile(np.concatenate(list(reached.values())), 0.02))
+        gamma = float(np.sqrt(max(peaks.max(), 1.0) * max(smallest, peaks.max())))
+        print(f"  beta {BETA}, gamma {gamma:.1f}")
+        return Calibrated(mean_errors, gamma, peaks, reached)
+
+
+def main(arguments: CalibrateArguments) -> int:
+    """Writes `arguments.out`."""
+    calibrator = Calibrator(arguments)
+    selection: dict[str, dict] = {}
+    undisturbed = {}
     for policy in arguments.candidates:
-        results = run(policy, "none", arguments.episodes, off)
-        successes = sum(r.outcome.success for r in results)
-        seconds = float(np.mean([r.outcome.sim_seconds for r in results]))
-        failures = [r.outcome.failure for r in results if r.outcome.failure]
-        print(
-            f"{policy.name}: {successes} of {len(results)} tasks done, {seconds:.1f} s on average; failures: {failures or 'none'}",
-            flush=True,
-        )
-        selection[policy.name] = {
-            "successes": successes,
-            "episodes": len(results),
-            "mean_seconds": seconds,
-            "failures": failures,
-        }
-        if best is None or (successes, -seconds) > best[0]:
-            best = (successes, -seconds), policy, results
-    assert best is not None
-    _, chosen, normal = best
-    done = [r for r in normal if r.outcome.success]
-    if not done:
+        undisturbed[policy] = calibrator.run(policy, "none")
+        selection[policy.name] = {"none": _tally(policy, "none", undisturbed[policy])}
+    most = max(entry["none"]["successes"] for entry in selection.values())
+    if not most:
         raise ScenarioError(f"no candidate finished one of {arguments.episodes} tasks: train longer before calibrating")
-    mean_errors = np.sum([r.squared_error_sum for r in done], axis=0) / sum(r.ticks for r in done)
-    peaks = np.array([np.max(r.peak_normal / mean_errors) for r in done])
-    print(f"{chosen.name}: normal error ratios peak at {np.median(peaks):.1f} (median), {peaks.max():.1f} (largest)")
-    disturbed = [
-        r for kind in ("A", "B") for r in run(chosen, kind, arguments.disturbed, off) if r.peak_disturbed is not None
-    ]
-    reached = {
-        kind: np.array([np.max(r.peak_disturbed / mean_errors) for r in disturbed if r.job.kind == kind])
-        for kind in ("A", "B")
-    }
-    for kind, ratios in reached.items():
-        print(
-            f"  disturbance {kind}: ratios reach {np.sort(ratios)[:4].round(1)} (smallest), {np.median(ratios):.0f} (median)"
-        )
-    smallest = float(np.quantile(np.concatenate(list(reached.values())), 0.02))
-    gamma = float(np.sqrt(max(peaks.max(), 1.0) * max(smallest, peaks.max())))
-    print(f"beta {BETA}, gamma {gamma:.1f}")
+    best: tuple[tuple[int, float], Path, Calibrated] | None = None
+    for policy, normal in undisturbed.items():
+        entry = selection[policy.name]
+        if entry["none"]["successes"] < most:
+            continue
+        calibrated = calibrator.calibrate(policy, normal)
+        calibration = Calibration(tuple(calibrated.mean_errors), BETA, calibrated.gamma)
+        for kind in ("A", "B"):
+            entry[kind] = _tally(policy, kind, calibrator.run(policy, kind, calibration))
+        score = entry["A"]["successes"] + entry["B"]["successes"], -entry["none"]["mean_seconds"]
+        if best is None or score > best[0]:
+            best = score, policy, calibrated
+    assert best is not None
+    _, chosen, calibrated = best
     stored = load_policy(chosen)
     notes = {
         "chosen": chosen.name,
         "selection": selection,
-        "validation_seed": base,
-        "normal_peaks": peaks.tolist(),
-        "disturbed_peaks": {kind: ratios.tolist() for kind, ratios in reached.items()},
+        "validation_seed": calibrator.first_seed,
+        "normal_peaks": calibrated.normal_peaks.tolist(),
+        "disturbed_peaks": {kind: ratios.tolist() for kind, ratios in calibrated.disturbed_peaks.items()},
     }
     metadata = {**stored.metadata, "calibration": notes}
-    save_policy(arguments.out, replace(stored, mean_errors=mean_errors, beta=BETA, gamma=gamma, metadata=metadata))
-    print(f"written: {arguments.out}")
+    save_policy(
+        arguments.out,
+        replace(stored, mean_errors=calibrated.mean_errors, beta=BETA, gamma=calibrated.gamma, metadata=metadata),
+    )
+    print(f"{chosen.name} is taken; written: {arguments.out}")
     return 0
+
+
+def _tally(policy: Path, kind: str, results: list[Result]) -> dict:
+    outcomes = [r.outcome for r in results]
+    tally = {
+        "successes": sum(o.success for o in outcomes),
+        "switching": sum(o.switch_success for o in outcomes),
+        "episodes": len(outcomes),
+        "mean_seconds": float(np.mean([o.sim_seconds for o in outcomes])),
+        "failures": {f"seed {o.seed}": o.failure for o in outcomes if o.failure},
+    }
+    print(
+        f"{policy.name}, {kind}: {tally['successes']} of {len(outcomes)} tasks done, {tally['mean_seconds']:.1f} s on average; "
+        f"failures: {tally['failures'] or 'none'}",
+        flush=True,
+    )
+    return tally
 
 
 if __name__ == "__main__":

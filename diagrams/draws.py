@@ -21,8 +21,26 @@ DEFLECTED_JOINTS = (3, 7)  # how many joints, inclusive
 STOP_TICKS = (15, 25)  # inclusive
 LIMIT_MARGIN = np.deg2rad(2.0)
 CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
-# Seeds of one purpose never meet those of another: an episode's seed is BASE[purpose] + its index.
+# Seeds of one purpose never meet those of another: see episode_seeds.
 SEED_BASE = {"validation": 1_000_000, "evaluation": 2_000_000}
+SEEDS_APART, SEED_BLOCKS = 10_000, 100
+
+
+def episode_seeds(purpose: str, seed: int, count: int) -> list[int]:
+    """Seeds of `count` episodes for "validation" or "evaluation"; `seed` chooses one of 100 sets that share no episode.
+
+    Raises ScenarioError for a seed or a count beyond what belongs to the purpose.
+    """
+    if not 0 <= seed < SEED_BLOCKS:
+        raise ScenarioError(
+            f"seed {seed} is outside of 0 to {SEED_BLOCKS - 1}, where {purpose} episodes are: choose another"
+        )
+    if not 1 <= count <= SEEDS_APART:
+        raise ScenarioError(
+            f"{count} episodes are outside of 1 to {SEEDS_APART}, what one seed gives: choose another number"
+        )
+    base = SEED_BASE[purpose] + SEEDS_APART * seed
+    return list(range(base, base + count))
 
 
 class EpisodeDraws:

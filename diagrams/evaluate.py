@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from diagrams.draws import SEED_BASE
+from diagrams.draws import episode_seeds
 from diagrams.scenario import DISTURBANCES, RNNS, ROOT, ScenarioError, World
 from diagrams.workers import Calibration, Job, Result, run_jobs
 from models.weights import WeightsError
@@ -89,7 +89,7 @@ def main(arguments: EvaluateArguments) -> int:
     calibration = None
     if arguments.gamma is not None and policy.mean_errors is not None and policy.beta is not None:
         calibration = Calibration(tuple(policy.mean_errors), policy.beta, arguments.gamma)
-    base = SEED_BASE["evaluation"] + 10_000 * arguments.seed
+    seeds = episode_seeds("evaluation", arguments.seed, arguments.episodes)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     report: dict = {
         "seed": arguments.seed,
@@ -99,7 +99,7 @@ def main(arguments: EvaluateArguments) -> int:
         "episodes": [],
     }
     for kind in arguments.disturbance:
-        jobs = [Job(base + i, kind, arguments.rnn) for i in range(arguments.episodes)]
+        jobs = [Job(seed, kind, arguments.rnn) for seed in seeds]
         runs = run_jobs(
             World(),
             arguments.weights / "cae.safetensors",

@@ -135,8 +135,9 @@ class Rollout:
         episode: Episode,
         on_event: Callable[[float, str], None] | None = None,
         on_tick: Callable[[int], None] | None = None,
+        ticks_after: int | None = None,
     ) -> tuple[Outcome, Record]:
-        """Runs `episode` to success or to its time limit."""
+        """Runs `episode` to success or to its time limit, or until `ticks_after` ticks after its disturbance."""
         started = time.perf_counter()
         monitor = self.prepare(episode)
         period = self.world.timing.period
@@ -194,6 +195,12 @@ class Rollout:
                 extra = switching.ticks_disturbed
             success = monitor.success(cans, posture) and not active
             k += 1
+            if (
+                ticks_after is not None
+                and any(rows["active"][:-ticks_after])
+                and not any(rows["active"][-ticks_after:])
+            ):
+                break
             if on_tick is not None:
                 on_tick(k)
         switching = self._switching(rows, disturbed)

@@ -22,7 +22,7 @@ import numpy as np
 
 from diagrams.scenario import SPOTS, ScenarioError, World
 
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 
 
 @dataclass
@@ -30,7 +30,7 @@ class TeachArguments:
     """Command line of teach.py."""
 
     out: Path  # the HDF5 file; an unfinished one is completed
-    seed: int = 0  # draws how the cans are turned about their axes
+    seed: int = 0  # draws how the cans are turned about their axes and how the arm is pushed off its way
     workers: int = os.cpu_count() or 1  # processes
     limit: int | None = None  # only so many demonstrations (for trying out)
 
@@ -44,6 +44,7 @@ class Lesson:
     vacant: str
     training: bool
     turn: float  # of the can to pick about its axis, rad
+    deviation_seed: tuple[int, int]  # draws how the arm is pushed off its way
 
 
 def lessons(world: World, seed: int) -> list[Lesson]:
@@ -51,7 +52,7 @@ def lessons(world: World, seed: int) -> list[Lesson]:
     turns = np.random.default_rng(seed).uniform(-np.pi, np.pi, 2 * world.grid.count**2)
     cells = [(i, j) for i in range(world.grid.count) for j in range(world.grid.count)]
     return [
-        Lesson(n, cell, vacant, world.grid.is_training(*cell), float(turns[n]))
+        Lesson(n, cell, vacant, world.grid.is_training(*cell), float(turns[n]), (seed, n))
         for n, (cell, vacant) in enumerate((cell, vacant) for cell in cells for vacant in SPOTS)
     ]
 
@@ -82,12 +83,11 @@ class Teacher:
         neighbour = station.spot(next(s for s in SPOTS if s != lesson.vacant))
         monitor = TaskMonitor(place, neighbour, world.initial_posture)
         goals = (np.array([*can_xy, CAN_HALF_HEIGHT]), place)
-        actions = np.vstack(
-            [
-                demonstration.commands(demonstration.subtask_waypoints(world, self.hand, goal, n + 1), steps)
-                for n, (goal, steps) in enumerate(zip(goals, demonstration.SUBTASK_STEPS, strict=True))
-            ]
-        )
+        ways = [demonstration.subtask_waypoints(world, self.hand, goal, n + 1) for n, goal in enumerate(goals)]
+        rng = np.random.default_rng(lesson.deviation_seed)
+        parts = list(zip(ways, demonstration.SUBTASK_STEPS, strict=True))
+        actions = np.vstack([demonstration.commands(way, steps) for way, steps in parts])
+        commanded = actions + np.vstack([demonstration.deviations(way, steps, rng) for way, steps in parts])
         simulator.reset_context(station.CreateDefaultContext())
         context = simulator.get_mutable_context()
         station.set_scene(context, can_xy, lesson.vacant, lesson.turn)
@@ -95,11 +95,11 @@ class Teacher:
         desired.FixValue(context, world.initial_posture)
         simulator.Initialize()
         postures, images = [], []
-        for k, action in enumerate(actions):
+        for k, command in enumerate(commanded):
             simulator.AdvanceTo(k * world.timing.period)
             postures.append(station.GetOutputPort("posture").Eval(context))
             images.append(station.GetOutputPort("rgb_image").Eval(context).data[:, :, :3].copy())
-            desired.FixValue(context, action)
+            desired.FixValue(context, command)
         simulator.AdvanceTo(len(actions) * world.timing.period)
         success = monitor.success(
             station.GetOutputPort("can_poses").Eval(context), station.GetOutputPort("posture").Eval(context)
@@ -110,7 +110,7 @@ class Teacher:
             "actions": actions,
             "can_xy": can_xy,
             "success": success,
-            "margin_deg": float(np.rad2deg(np.min([self.hand.margin(a[:-1]) for a in actions]))),
+            "margin_deg": float(np.rad2deg(np.min([self.hand.margin(a[:-1]) for a in commanded]))),
         }
 
 

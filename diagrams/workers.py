@@ -31,6 +31,7 @@ class Job:
     seed: int
     kind: str
     rnn: str = "lstm"
+    detection_only: bool = False  # ends as soon as the disturbance cannot be detected any more
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,10 @@ class _Worker:
         self.rollout = Rollout(world, Encoder(encoder), network, detector)
 
     def run(self, job: Job) -> Result:
-        outcome, record = self.rollout.run(self.draws.draw(job.seed, job.kind, rnn=job.rnn))
+        outcome, record = self.rollout.run(
+            self.draws.draw(job.seed, job.kind, rnn=job.rnn),
+            ticks_after=DETECTION_TICKS if job.detection_only else None,
+        )
         active = record.active > 0.5
         onset = int(np.argmax(active)) if active.any() else len(active)
         errors = record.squared_errors

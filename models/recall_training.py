@@ -72,7 +72,7 @@ class RecallModule(StepModule):
         self.register_buffer("pool", torch.zeros(256, rnn.state_size))
 
     def make_batch(self, step: int) -> Any:
-        """As in the network's training: half of the sequences start from a final state of an earlier one."""
+        """As in the network's training: half of the sequences start from a late state of an earlier one."""
         options, generator = self.options, step_generator(self.options.seed, step)
         index = torch.randint(0, len(self.pack.length), (options.batch_size,), generator=generator)
         batch = make_batch(self.pack.pick(index), self.initial, JOINTS, options.augmentation, generator)
@@ -87,7 +87,7 @@ class RecallModule(StepModule):
         rnn = self.frozen[0]
         with torch.no_grad():
             states = run(rnn, batch, self.pool[start])[1]
-            self.pool[end] = states[batch.last, torch.arange(states.shape[1])]
+            self.pool[end] = states[batch.carry, torch.arange(states.shape[1])]
         valid = batch.valid[: len(states)] > 0
         target = recall_targets(batch.clean[: len(states)], self.options.horizon)
         loss = (self.heads(states[valid]) - target[valid]).square().mean()

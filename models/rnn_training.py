@@ -38,9 +38,9 @@ class RnnOptions(TrainingOptions):
         start_weight: extra weight of the first start_ticks ticks, where the network must start by itself.
         start_ticks: see start_weight.
         state_weight: weight of the mean of (c_0 - c_T)^2.
-        carry_over: share of sequences that start from a final state of an earlier one instead of c_0.
+        carry_over: share of sequences that start from a late state of an earlier one instead of c_0.
         regulator_gain: K a tick, as the regulator of the diagram.
-        target: command to learn: the posture measured at k+1, or the action commanded at k.
+        target: command to learn: the action at k, or the posture measured at k+1, which has what the teacher's arm was pushed off by.
         scaling_margin: how much wider than the data the scaling's bounds are.
         least_half_range: rad; a joint that moves less is scaled as if it moved that far, so that the noise on it, and
             what counts as an error of it, is not much smaller than that of the others.
@@ -63,7 +63,7 @@ class RnnOptions(TrainingOptions):
     state_weight: float = 1.0
     carry_over: float = 0.5
     regulator_gain: float = 0.1
-    target: Literal["posture", "action"] = "posture"
+    target: Literal["posture", "action"] = "action"
     scaling_margin: float = 1.1
     least_half_range: float = 0.3
     learning_rate: float = 1e-3
@@ -119,7 +119,7 @@ class RnnModule(StepModule):
         self.rnn = policy.rnn
         initial = policy.scaling.scale(policy.initial_posture)
         self.initial = torch.from_numpy(initial).float()
-        # Final states of earlier sequences; row 0 stays c_0.
+        # Late states of earlier sequences; row 0 stays c_0.
         self.register_buffer("pool", torch.zeros(256, self.rnn.state_size))
 
     def make_batch(self, step: int) -> Any:
@@ -147,7 +147,7 @@ class RnnModule(StepModule):
         feature_loss = (batch.valid[: len(y)] * feature).sum() / batch.valid.sum()
         final = states[batch.last, torch.arange(states.shape[1])]
         state_loss = final.square().mean()
-        self.pool[end] = final.detach()
+        self.pool[end] = states[batch.carry, torch.arange(states.shape[1])].detach()
         loss = options.posture_weight * posture_loss + feature_loss + options.state_weight * state_loss
         self.log("loss", loss.detach(), prog_bar=True)
         self.log("posture", posture_loss.detach(), prog_bar=True)

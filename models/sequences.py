@@ -101,6 +101,9 @@ class Augmentation:
         hold_probability: share of those stretches before which the inputs stand still, as when the arm is stopped.
         hold_ticks: longest such standstill.
         rest_ticks: longest rest, still on own predictions, after a stretch that goes to the end.
+        carry_ticks: a later sequence may start from the state of any of the last so many ticks of the subtask, or of the rest.
+            When a recovery ends, the recall fits as soon as it reaches back to the arrival at home only, long before the
+            imagined subtask is at rest.
     """
 
     joint_noise: float = 0.08
@@ -115,6 +118,7 @@ class Augmentation:
     hold_probability: float = 0.5
     hold_ticks: int = 12
     rest_ticks: int = 30
+    carry_ticks: int = 9
 
 
 @dataclass
@@ -124,7 +128,8 @@ class Batch:
     Attributes:
         x: (T, B, 38) inputs; closed: (T, B, 1) bool, where the own prediction takes their place.
         target: (T, B, 38) [m_{k+1}, f_{k+1}]; pull: (T, B, 8) m_k - m_init that the regulator sees.
-        clean: (T, B, 8) clean m_k; valid: (T, B) 1 where a tick counts; last: (B,) index of the last valid tick.
+        clean: (T, B, 8) clean m_k; valid: (T, B) 1 where a tick counts; last: (B,) index of the last valid tick;
+        carry: (B,) index of the tick whose state a later sequence may start from.
     """
 
     x: Tensor
@@ -134,6 +139,7 @@ class Batch:
     clean: Tensor
     valid: Tensor
     last: Tensor
+    carry: Tensor
 
 
 def slow_noise(ticks: int, batch: int, size: int, every: int, generator: torch.Generator) -> Tensor:
@@ -162,6 +168,7 @@ def make_batch(
     length = pack.length.clone()
     closed = torch.zeros(ticks, batch, dtype=torch.bool)
     held = k.expand(ticks, batch)
+    carry = length - 1
 
     def chance(probability: float) -> Tensor:
         return torch.rand(batch, generator=generator) < probability
@@ -190,6 +197,8 @@ def make_batch(
         closed = loop & (k >= start) & (k < stop)
         rest = torch.randint(0, options.rest_ticks + 1, (batch,), generator=generator)
         length = torch.where(loop & to_end, torch.clamp(length + rest, max=ticks), length)
+        carried = torch.rand(batch, generator=generator) * (length - pack.length + options.carry_ticks)
+        carry = length - 1 - carried.long()
         hold = (2 + share[2] * (options.hold_ticks - 1)).long() * (loop & chance(options.hold_probability))
         onset = (start - hold).clamp_min(0)
         held = torch.where((k >= onset) & (k < start), onset, k)
@@ -206,6 +215,7 @@ def make_batch(
         clean=clean,
         valid=(k < length).float(),
         last=length - 1,
+        carry=carry,
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -48,15 +50,7 @@ def validate(rnn: RecurrentNetwork, pack: SequencePack, initial: Tensor, gain: f
 def _autonomous(rnn: RecurrentNetwork, batch: Batch, gain: float, joints: int) -> dict[str, float]:
     ticks, k = len(batch.x), torch.arange(len(batch.x))[:, None]
     closed = (k >= LOOP_FROM).expand(ticks, batch.x.shape[1])
-    looped = Batch(
-        batch.x,
-        closed[..., None],
-        batch.target,
-        batch.pull,
-        batch.clean,
-        batch.valid,
-        torch.full_like(batch.last, ticks - 1),
-    )
+    looped = replace(batch, closed=closed[..., None], last=torch.full_like(batch.last, ticks - 1))
     y, _ = run(rnn, looped, rnn.initial_state(batch.x.shape[1]))
     posture, _ = errors(y, looped, gain)
     after = ((k > batch.last) & (k <= batch.last + REST)).float()

@@ -13,9 +13,10 @@ def AlphaMixer_(T):
     class Impl(LeafSystem_[T]):
         """dm = (1 - alpha) dm^R + dm^L, Eq. 3, and the command m_k + dm within the limits of speed and position.
 
-        A prediction made from what the network imagined (Eqs. 7, 8 with alpha_{k-1} > 0) is no command: alpha in Eq. 3
-        is the larger of alpha_k and alpha_{k-1}. Else the tick at which alpha falls would, for one, open fingers that
-        hold something because the network imagined having put it down.
+        alpha in Eq. 3 is the largest of alpha_k, ..., alpha_{k-D}. A prediction made from what the network imagined
+        (Eqs. 7, 8 with alpha_{k-1} > 0) is no command, nor are those of the next few ticks, in which its state still
+        turns from what it imagined to what it sees: they would, for one, open fingers that hold something because the
+        network imagined having put it down. It is a dwell time of the switch back; the switch away does not wait.
 
         .. pydrake_system::
 
@@ -25,7 +26,7 @@ def AlphaMixer_(T):
             - predicted_posture
             - regulator_step
             - alpha
-            - last_alpha
+            - last_alphas
             output_ports:
             - desired_posture
             - rnn_step
@@ -37,7 +38,7 @@ def AlphaMixer_(T):
             predicted_posture: (M,) m^R_{k+1}.
             regulator_step: (M,) dm^L_k; 0 in the fingers, which therefore keep their command under alpha = 1.
             alpha: (1,) alpha_k in [0, 1].
-            last_alpha: (1,) alpha_{k-1}, with which the input of the prediction was closed.
+            last_alphas: (D,) alpha_{k-1}, ..., alpha_{k-D}; with the first the input of the prediction was closed.
         Outputs:
             desired_posture: (M,) m_k + dm, dm clamped to +-max_step, then the sum to [lower, upper].
             rnn_step: (M,) dm^R_k = m^R_{k+1} - m_k.
@@ -46,11 +47,18 @@ def AlphaMixer_(T):
         Direct feedthrough; scalar-convertible.
 
         Constructor: keywords posture_size (M); lower, upper (M,), bounds of the command; max_step (M,) >= 0, largest
-        step a tick.
+        step a tick; settling_ticks (D) >= 1.
         """
 
         def _construct(
-            self, *, posture_size: int, lower: np.ndarray, upper: np.ndarray, max_step: np.ndarray, converter=None
+            self,
+            *,
+            posture_size: int,
+            lower: np.ndarray,
+            upper: np.ndarray,
+            max_step: np.ndarray,
+            settling_ticks: int = 1,
+            converter=None,
         ):
             LeafSystem_[T].__init__(self, converter=converter)
             size = require_count("posture_size", posture_size)
@@ -60,9 +68,11 @@ def AlphaMixer_(T):
             self._predicted = self.DeclareVectorInputPort("predicted_posture", size)
             self._regulator_step = self.DeclareVectorInputPort("regulator_step", size)
             self._alpha = self.DeclareVectorInputPort("alpha", 1)
-            self._last_alpha = self.DeclareVectorInputPort("last_alpha", 1)
+            self._last_alphas = self.DeclareVectorInputPort(
+                "last_alphas", require_count("settling_ticks", settling_ticks)
+            )
             posture, predicted = self._posture.ticket(), self._predicted.ticket()
-            alphas = {self._alpha.ticket(), self._last_alpha.ticket()}
+            alphas = {self._alpha.ticket(), self._last_alphas.ticket()}
             everything = {posture, predicted, self._regulator_step.ticket()} | alphas
             self.DeclareVectorOutputPort("desired_posture", size, self._calc_desired_posture, everything)
             self.DeclareVectorOutputPort("rnn_step", size, self._calc_rnn_step, {posture, predicted})
@@ -78,11 +88,12 @@ def AlphaMixer_(T):
                 lower=other._lower,
                 upper=other._upper,
                 max_step=other._max_step,
+                settling_ticks=other._last_alphas.size(),
                 converter=converter,
             )
 
         def _step(self, context):
-            alpha = maximum(np.concatenate((self._alpha.Eval(context), self._last_alpha.Eval(context))))
+            alpha = maximum(np.concatenate((self._alpha.Eval(context), self._last_alphas.Eval(context))))
             rnn_step = self._predicted.Eval(context) - self._posture.Eval(context)
             return (1.0 - alpha) * rnn_step + self._regulator_step.Eval(context)
 

@@ -35,7 +35,7 @@ class PostureHistory(LeafSystem):
         """
         super().__init__()
         size = require_count("posture_size", posture_size)
-        horizon = require_count("horizon", horizon)
+        horizon = require_count("horizon", horizon, 0)
         initial = require_vector("initial_posture", initial_posture, size)
         self._input = self.DeclareVectorInputPort("posture", size)
         self._sample = self.DeclareDiscreteState(initial)

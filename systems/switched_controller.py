@@ -2,7 +2,7 @@
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
-from pydrake.systems.primitives import AffineSystem, ZeroOrderHold
+from pydrake.systems.primitives import AffineSystem
 
 from systems.detector import RecallDetector
 from systems.image_encoder import ImageEncoder
@@ -68,6 +68,7 @@ class SwitchedController(Diagram):
         joint_upper: np.ndarray,
         speed_limits: np.ndarray,
         period: float = 0.1,
+        settling_ticks: int = 8,
         joints: int | None = None,
         image_width: int = 112,
         image_height: int = 112,
@@ -84,6 +85,8 @@ class SwitchedController(Diagram):
             joint_lower, joint_upper: (M,) limits of the command, all components, physical units.
             speed_limits: (M,) largest speed of the command, physical units/s.
             period: T of the ticks, s.
+            settling_ticks: D, how many ticks after the last one under alpha the network waits for the arm; see
+                AlphaMixer.
             joints: J, the first J components are brought home; default M - 1, the last being the finger opening.
             image_width, image_height: of the image at the port, pixels.
         """
@@ -134,11 +137,15 @@ class SwitchedController(Diagram):
                 lower=(joint_lower - middle) / half_range,
                 upper=(joint_upper - middle) / half_range,
                 max_step=speed_limits * period / half_range,
+                settling_ticks=settling_ticks,
             ),
         )
 
-        # Its update at tick k still sees the alpha of tick k - 1.
-        last_alpha = builder.AddNamedSystem("last_alpha", ZeroOrderHold(period, 1))
+        # A history of any vector. Its update at tick k still sees the alpha of tick k - 1.
+        alpha_history = builder.AddNamedSystem(
+            "alpha_history",
+            PostureHistory(posture_size=1, horizon=settling_ticks - 1, period=period, initial_posture=np.zeros(1)),
+        )
 
         builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
         builder.ExportInput(scale.get_input_port(), "posture")
@@ -150,8 +157,8 @@ class SwitchedController(Diagram):
         for name in ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state"):
             builder.Connect(network.GetOutputPort(name), law.GetInputPort(name))
         builder.Connect(law.GetOutputPort("network_input"), network.GetInputPort("network_input"))
-        builder.Connect(law.GetOutputPort("alpha"), last_alpha.get_input_port())
-        builder.Connect(last_alpha.get_output_port(), law.GetInputPort("last_alpha"))
+        builder.Connect(law.GetOutputPort("alpha"), alpha_history.GetInputPort("posture"))
+        builder.Connect(alpha_history.GetOutputPort("posture_history"), law.GetInputPort("last_alphas"))
 
         def export_physical(port, name: str, offset: np.ndarray) -> None:
             unscale = affine(f"{name}_unscaling", half_range, offset)

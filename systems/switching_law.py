@@ -23,7 +23,7 @@ class SwitchingLaw(Diagram):
         - predicted_features
         - recalled_postures
         - hidden_state
-        - last_alpha
+        - last_alphas
         output_ports:
         - network_input
         - errors
@@ -41,7 +41,7 @@ class SwitchingLaw(Diagram):
         predicted_posture, predicted_features: (M,), (F,) the network's predictions for the next tick.
         recalled_postures: ((N + 1) M,) m^R_k, ..., m^R_{k-N}.
         hidden_state: (S,) c_k.
-        last_alpha: (1,) alpha_{k-1}; see AlphaMixer.
+        last_alphas: (D,) alpha_{k-1}, ..., alpha_{k-D}; see AlphaMixer.
     Outputs:
         network_input: (M + F,) x of Eqs. 7 and 8.
         errors: (E,) of the detector.
@@ -64,6 +64,7 @@ class SwitchingLaw(Diagram):
         lower: np.ndarray,
         upper: np.ndarray,
         max_step: np.ndarray,
+        settling_ticks: int = 1,
     ):
         """
         Args:
@@ -71,6 +72,7 @@ class SwitchingLaw(Diagram):
             detector: any system with the ports that systems/detector.py lists; becomes part of this Diagram.
             regulator: of `make_posture_regulator`, in scaled units; becomes part of this Diagram.
             lower, upper, max_step: (M,) limits of the command and of its step a tick, scaled; see AlphaMixer.
+            settling_ticks: D; see AlphaMixer.
         """
         super().__init__()
         check_detector(detector, posture_size=posture_size, horizon=horizon, state_size=state_size)
@@ -79,7 +81,10 @@ class SwitchingLaw(Diagram):
         detector = builder.AddNamedSystem("detector", detector)
         regulator = builder.AddNamedSystem("posture_regulator", regulator)
         mixer = builder.AddNamedSystem(
-            "alpha_mixer", AlphaMixer(posture_size=posture_size, lower=lower, upper=upper, max_step=max_step)
+            "alpha_mixer",
+            AlphaMixer(
+                posture_size=posture_size, lower=lower, upper=upper, max_step=max_step, settling_ticks=settling_ticks
+            ),
         )
         alpha = detector.GetOutputPort("alpha")
         builder.Connect(alpha, closer.GetInputPort("alpha"))
@@ -95,7 +100,7 @@ class SwitchingLaw(Diagram):
             "predicted_features": [closer.GetInputPort("predicted_features")],
             "recalled_postures": [detector.GetInputPort("recalled_postures")],
             "hidden_state": [detector.GetInputPort("hidden_state")],
-            "last_alpha": [mixer.GetInputPort("last_alpha")],
+            "last_alphas": [mixer.GetInputPort("last_alphas")],
         }.items():
             builder.ExportInput(consumers[0], name)
             for consumer in consumers[1:]:

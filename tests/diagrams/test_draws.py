@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from diagrams.calibrate import CalibrateArguments
 from diagrams.clearance import Clearance
 from diagrams.demonstration import GRASP_ABOVE_CENTRE, SUBTASK_STEPS, commands, subtask_waypoints
-from diagrams.draws import LIMIT_MARGIN, ONSET_LEVELS, SEED_BASE, STOP_TICKS
-from diagrams.evaluate import EvaluateArguments
+from diagrams.draws import LIMIT_MARGIN, ONSET_LEVELS, SEED_BASE, STOP_TICKS, episode_seeds
 from diagrams.scenario import SPOTS, ScenarioError
 from diagrams.station import CAN_HALF_HEIGHT
 
@@ -133,6 +131,15 @@ def test_unknown_words_are_refused(draws):
 
 
 def test_validation_and_evaluation_never_share_a_seed():
-    """Each --seed takes 10,000 seeds from its base on; the bases lie a hundred of them apart."""
-    assert SEED_BASE["evaluation"] - SEED_BASE["validation"] >= 100 * 10_000
-    assert max(CalibrateArguments([], "out").episodes, EvaluateArguments().episodes) < 10_000
+    last = {purpose: episode_seeds(purpose, 99, 10_000)[-1] for purpose in SEED_BASE}
+    assert SEED_BASE["validation"] <= last["validation"] < SEED_BASE["evaluation"] < last["evaluation"]
+    assert episode_seeds("evaluation", 1, 2) == [2_010_000, 2_010_001]
+    assert set(episode_seeds("validation", 0, 10_000)).isdisjoint(episode_seeds("validation", 1, 10_000))
+
+
+@pytest.mark.parametrize(
+    ("seed", "count", "named"), [(100, 1, "seed 100"), (-1, 1, "seed -1"), (0, 10_001, "10001 epi"), (0, 0, "0 epi")]
+)
+def test_seeds_beyond_their_purpose_are_refused(seed, count, named):
+    with pytest.raises(ScenarioError, match=named):
+        episode_seeds("validation", seed, count)

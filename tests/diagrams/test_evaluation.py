@@ -98,28 +98,37 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
     for name in ("policy-2000", "policy-4000", "policy-6000"):
         candidates.append(tmp_path / f"{name}.safetensors")
         candidates[-1].write_bytes((folder / "lstm.safetensors").read_bytes())
-    seeds = set()
+    asked = []
 
     def run_jobs(world, encoder, policy, jobs, *, workers, calibration):
-        assert calibration.gamma == calibrate.OFF
-        seeds.update(job.seed for job in jobs)
-        # 4000 and 6000 fail once; 6000 is the faster one.
-        failed = 4 if policy.stem == "policy-2000" else 1
-        seconds = 38.0 if policy.stem == "policy-6000" else 40.0
+        asked.extend((policy.stem, job, calibration.gamma) for job in jobs)
+        on = calibration.gamma != calibrate.OFF
+        if on:
+            assert calibration.mean_errors == pytest.approx(1e-4 * np.arange(1, 12))
+        # Undisturbed, 4000 and 6000 fail once; disturbed, 6000 is the better one.
+        undisturbed, disturbed = {"policy-2000": (4, 0), "policy-4000": (1, 2), "policy-6000": (1, 1)}[policy.stem]
         for i, job in enumerate(jobs):
-            yield result(job, success=job.kind != "none" or i >= failed, seconds=seconds)
+            yield result(job, success=i >= (undisturbed if job.kind == "none" else disturbed * on))
 
     monkeypatch.setattr(calibrate, "run_jobs", run_jobs)
     out = tmp_path / "out" / "lstm.safetensors"
     arguments = CalibrateArguments(candidates, out, folder / "cae.safetensors", episodes=6, disturbed=4)
     assert calibrate.main(arguments) == 0
     stored = load_policy(out)
+    gamma = np.sqrt(20.0 * 4000.0)
     assert stored.mean_errors == pytest.approx(1e-4 * np.arange(1, 12))
     assert stored.beta == 30.0
-    assert stored.gamma == pytest.approx(np.sqrt(20.0 * 4000.0))
-    assert stored.metadata["calibration"]["chosen"] == "policy-6000.safetensors"
+    assert stored.gamma == pytest.approx(gamma)
+    notes = stored.metadata["calibration"]
+    assert notes["chosen"] == "policy-6000.safetensors"
+    assert notes["selection"]["policy-4000.safetensors"]["B"]["successes"] == 2
+    assert set(notes["selection"]["policy-2000.safetensors"]) == {"none"}
     assert stored.metadata["training"] == {"seed": 0}
+    seeds = {job.seed for _, job, _ in asked}
     assert all(SEED_BASE["validation"] <= seed < SEED_BASE["evaluation"] for seed in seeds)
+    # Only what cannot succeed without a detector is cut short; the rest is judged to its end.
+    assert all(job.detection_only == (job.kind != "none" and g == calibrate.OFF) for _, job, g in asked)
+    assert sorted({g for _, job, g in asked if job.kind != "none"}) == pytest.approx([gamma, calibrate.OFF])
     assert "5 of 6 tasks done" in capsys.readouterr().out
 
 

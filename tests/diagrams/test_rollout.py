@@ -225,6 +225,15 @@ def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, monkeypa
     assert run.outcome.sim_seconds == pytest.approx(14.0 + 0.1 * (resumed - onset))
 
 
+def test_a_run_for_the_detection_alone_ends_soon_after_the_disturbance(rollout, policy, moved_on_the_way_to_the_can):
+    whole = moved_on_the_way_to_the_can
+    policy.learn(whole.episode)
+    _, record = rollout.run(whole.episode, ticks_after=5)
+    end = np.flatnonzero(whole.record.active)[-1] + 1
+    assert len(record.time) == end + 5
+    assert np.array_equal(record.errors, whole.record.errors[: end + 5])
+
+
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
     names = {system.get_name() for system in rollout.diagram.GetSystems()}
     assert names == {"station", "switched_controller", "disturbance"}

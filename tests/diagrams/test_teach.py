@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from diagrams import teach
-from diagrams.demonstration import SUBTASK_STEPS
+from diagrams.demonstration import DWELL_DEVIATION, FREE_DEVIATION, SUBTASK_STEPS, deviations, subtask_waypoints
+from diagrams.kinematics import HandKinematics
 from diagrams.scenario import ROOT, SPOTS, ScenarioError, World
+from diagrams.station import CAN_HALF_HEIGHT
 from diagrams.teach import TeachArguments, Teacher, lessons
 from models.dataset import read_demonstrations, read_header, subtask_ranges
 
@@ -197,8 +199,27 @@ def test_postures_follow_the_actions(recorded):
     with h5py.File(recorded) as file:
         posture, actions = file["data/demo_0/obs/posture"][()], file["data/demo_0/actions"][()]
     assert posture[0] == pytest.approx(World().initial_posture, abs=1e-6)
-    assert np.abs(posture[1:, :7] - actions[:-1, :7]).max() < np.deg2rad(2.0)  # the servo's lag
+    off = np.abs(posture[1:, :7] - actions[:-1, :7]).max(axis=1)  # what the arm was pushed off by, and the servo's lag
+    assert np.deg2rad(1.0) < off.max() < np.deg2rad(4.0)
+    assert off[[*range(76, 98), *range(161 + 105, 161 + 135)]].max() < np.deg2rad(1.0)  # a finger's breadth from a can
     assert np.array_equal(posture[1:, 7], actions[:-1, 7])  # the opening is the commanded one
+
+
+def test_deviations_are_smooth_bounded_and_none_at_the_cans(world):
+    hand = HandKinematics(world.initial_posture[:7])
+    for subtask, steps in enumerate(SUBTASK_STEPS, start=1):
+        way = subtask_waypoints(world, hand, np.array([*world.grid.position(4, 5), CAN_HALF_HEIGHT]), subtask)
+        near, far = way[2].tick, way[-3].tick
+        rows = np.array([deviations(way, steps, np.random.default_rng([0, n])) for n in range(20)])
+        assert np.array_equal(rows[3], deviations(way, steps, np.random.default_rng([0, 3])))
+        assert not np.array_equal(rows[3], rows[4])
+        size = np.abs(rows[..., :7]).max(axis=(0, 2))
+        assert size.max() <= FREE_DEVIATION
+        assert size.max() > 0.9 * FREE_DEVIATION
+        assert size[near - 1 : far].max() == 0.0
+        assert max(size[: way[1].tick].max(), size[way[-2].tick :].max()) <= DWELL_DEVIATION + 1e-12
+        assert not rows[..., 7].any()
+        assert np.abs(np.diff(rows, axis=1)).max() < np.deg2rad(1.0)  # a tick
 
 
 def test_models_read_it(recorded):

@@ -90,6 +90,19 @@ def test_loop_stretches_rest_and_hold() -> None:
         torch.testing.assert_close(batch.pull[start:stop, b, :7], clean)
 
 
+def test_states_are_carried_over_from_the_end_dwell_or_the_rest() -> None:
+    pack = random_pack(400)
+    still = make_batch(pack, INITIAL, 7, None, torch.Generator())
+    assert torch.equal(still.carry, still.last)
+    options = replace(QUIET, loop_probability=0.5, carry_ticks=9)
+    batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+    back, rest = batch.last - batch.carry, batch.last - (pack.length - 1)
+    assert back.min() == 0
+    assert torch.all(back <= rest + 8)
+    assert set((back - rest).tolist()) >= set(range(9))  # every tick of the dwell's end
+    assert (back - rest).min() < -15  # and of the rest
+
+
 def test_closed_finger_at_the_start_of_the_first_subtask_only() -> None:
     pack = random_pack(40)
     batch = make_batch(

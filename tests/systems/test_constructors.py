@@ -56,7 +56,7 @@ CASES = [
     (policy, dict(period=0.0), "period is 0.0.*greater than 0"),
     (policy, dict(horizon=5, recall=lambda state: np.zeros((2, 4))), r"policy.recall gave shape \(2, 4\).*\(5, 4\)"),
     (policy, dict(initial_state=np.zeros(3)), r"initial_state has shape \(3,\).*\(12,\)"),
-    (history, dict(horizon=0), "horizon is 0.*at least 1"),
+    (history, dict(horizon=-1), "horizon is -1.*at least 0"),
     (history, dict(period=-0.1), "period is -0.1.*greater than 0"),
     (history, dict(initial_posture=np.full(4, np.nan)), "initial_posture is .*nan.*finite"),
     (closer, dict(posture_size=0), "posture_size is 0.*at least 1"),

@@ -19,7 +19,7 @@ from systems.recurrent_policy import RecurrentPolicy
 M, F, N = 4, 4, 2
 POLICY_PORTS = ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state")
 CLOSER_INPUTS = ("posture", "features", "predicted_posture", "predicted_features", "alpha")
-MIXER_INPUTS = ("posture", "predicted_posture", "regulator_step", "alpha", "last_alpha")
+MIXER_INPUTS = ("posture", "predicted_posture", "regulator_step", "alpha", "last_alphas")
 
 
 def law():
@@ -37,7 +37,7 @@ def detector():
 
 
 DETECTOR_FEEDTHROUGH = {(i, o) for i in ("posture_history", "recalled_postures") for o in ("errors", "alpha")}
-COMMAND_INPUTS = ("sampled_posture", "predicted_posture", "posture_history", "recalled_postures", "last_alpha")
+COMMAND_INPUTS = ("sampled_posture", "predicted_posture", "posture_history", "recalled_postures", "last_alphas")
 CASES = {
     "ImageEncoder": (lambda: ImageEncoder(FakeEncoder()), {("rgb_image", "features")}),
     "RecurrentPolicy": (lambda: RecurrentPolicy(FakePolicy(), PERIOD), set()),
@@ -142,8 +142,8 @@ def test_controller_names_and_topology():
         "posture_history.posture -> switching_law.sampled_posture",
         "posture_history.posture_history -> switching_law.posture_history",
         "image_encoder.features -> switching_law.features",
-        "switching_law.alpha -> last_alpha.u",
-        "last_alpha.y -> switching_law.last_alpha",
+        "switching_law.alpha -> alpha_history.posture",
+        "alpha_history.posture_history -> switching_law.last_alphas",
         "posture_scaling.y0 -> switching_law.posture",  # not the sampled one: the update needs this tick's
         "posture_scaling.y0 -> posture_history.posture",
     }

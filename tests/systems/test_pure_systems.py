@@ -15,13 +15,15 @@ CLOSER = LoopCloser(posture_size=2, feature_size=1)
 CLOSER_INPUTS = dict(
     posture=[1.0, 2.0], features=[0.5], predicted_posture=[0.0, 4.0], predicted_features=[-0.5], alpha=[0.25]
 )
-MIXER = AlphaMixer(posture_size=3, lower=[-1.0, -1.0, -1.0], upper=[1.0, 1.0, 1.0], max_step=[0.2, 0.2, 0.2])
+MIXER = AlphaMixer(
+    posture_size=3, lower=[-1.0, -1.0, -1.0], upper=[1.0, 1.0, 1.0], max_step=[0.2, 0.2, 0.2], settling_ticks=3
+)
 MIXER_INPUTS = dict(
     posture=[0.5, 0.0, 0.95],
     predicted_posture=[0.6, 2.0, 1.15],
     regulator_step=[-0.05, 0.0, 0.0],
     alpha=[0.5],
-    last_alpha=[0.25],
+    last_alphas=[0.25, 0.0, 0.1],
 )
 # 0.5 * [0.1, 2, 0.2] + dm^L = [0, 1, 0.1]; clamped to 0.2, added, clamped to 1.
 MIXED_STEP, MIXED_POSTURE = [0.0, 1.0, 0.1], [0.5, 0.2, 1.0]
@@ -52,8 +54,9 @@ def test_regulator_pulls_always_and_fingers_stay_under_alpha_one():
     assert posture == pytest.approx([0.45, 0.0, 0.95])
 
 
-def test_a_prediction_from_imagination_moves_nothing():
-    inputs = MIXER_INPUTS | dict(alpha=[0.0], last_alpha=[1.0])
+@pytest.mark.parametrize("ago", range(3))
+def test_a_prediction_from_imagination_or_soon_after_it_moves_nothing(ago):
+    inputs = MIXER_INPUTS | dict(alpha=[0.0], last_alphas=np.eye(3)[ago])
     assert evaluate(MIXER, "desired_posture", inputs) == pytest.approx([0.45, 0.0, 0.95])
     assert evaluate(MIXER, "rnn_step", inputs) == pytest.approx([0.1, 2.0, 0.2])
 
@@ -82,10 +85,10 @@ numbers = st.floats(-1e6, 1e6)
 
 @settings(max_examples=60, deadline=None)
 @given(arrays(float, 3, elements=numbers), arrays(float, 3, elements=numbers), arrays(float, 3, elements=numbers),
-       st.floats(0.0, 1.0), st.floats(0.0, 1.0))  # fmt: skip
-def test_mixer_never_leaves_bounds(posture, predicted, regulator_step, alpha, last_alpha):
+       st.floats(0.0, 1.0), arrays(float, 3, elements=st.floats(0.0, 1.0)))  # fmt: skip
+def test_mixer_never_leaves_bounds(posture, predicted, regulator_step, alpha, last_alphas):
     inputs = dict(posture=posture, predicted_posture=predicted, regulator_step=regulator_step)
-    inputs |= dict(alpha=[alpha], last_alpha=[last_alpha])
+    inputs |= dict(alpha=[alpha], last_alphas=last_alphas)
     found = evaluate(MIXER, "desired_posture", inputs)
     assert np.all(np.abs(found) <= 1.0)
     inside = np.clip(posture, -1.0, 1.0)

@@ -63,8 +63,8 @@ def test_loop_closing_at_tick_k_uses_alpha_of_the_tick_before():
     assert policy.inputs[6] == pytest.approx(prediction)
 
 
-def reference(policy, arm, ticks, disturb):
-    """method.md's tick, in numpy; returns commands and alphas (ticks, ...)."""
+def reference(policy, arm, ticks, disturb, settling_ticks):
+    """method.md's tick, in numpy, the network waiting for settling_ticks; returns commands and alphas (ticks, ...)."""
     lower, upper = policy.scaling.lower, policy.scaling.upper
     scale, unscale = policy.scaling.scale, lambda x: lower + (x + 1.0) * (upper - lower) / 2.0
     M, f = policy.posture_size, 0.2 * np.arange(1, 5) / 4
@@ -78,6 +78,7 @@ def reference(policy, arm, ticks, disturb):
         return np.max(1.0 / (1.0 + np.exp(-np.clip(policy.beta * (errors - policy.gamma), -500.0, 500.0))))
 
     alpha = detect(np.vstack((prediction, policy.recall(state))))
+    seen = [0.0] * settling_ticks + [alpha]
     commands, alphas = [], []
     for k in range(ticks):
         m = scale(arm + disturb(k))
@@ -86,24 +87,25 @@ def reference(policy, arm, ticks, disturb):
         recalled = np.vstack((prediction, policy.recall(state)))
         prediction, predicted_features = np.clip(y[:M], -1.0, 1.0), np.clip(y[M:], -1.0, 1.0)
         history = [m, *history[:-1]]
-        last_alpha, alpha = alpha, detect(recalled)
-        arm = unscale(m + (1.0 - max(alpha, last_alpha)) * (prediction - m) - K @ (m - initial))
+        alpha = detect(recalled)
+        seen.append(alpha)
+        arm = unscale(m + (1.0 - max(seen[-1 - settling_ticks :])) * (prediction - m) - K @ (m - initial))
         commands.append(arm)
         alphas.append(alpha)
     return np.array(commands), np.array(alphas)
 
 
-@pytest.mark.parametrize("joints", [1, 3, 7])
-def test_thirty_ticks_are_those_of_the_equations(joints):
+@pytest.mark.parametrize(("joints", "settling_ticks"), [(1, 1), (3, 1), (7, 1), (3, 4)])
+def test_thirty_ticks_are_those_of_the_equations(joints, settling_ticks):
     def disturb(k):
         return 0.15 if k in (8, 9, 20) else 0.0
 
     policy = FakePolicy(joints=joints, gain=0.1)
     policy.beta, policy.gamma = 0.5, 2.0  # soft, so that alpha takes many values
-    expected, alphas = reference(policy, policy.initial_posture, 30, disturb)
+    expected, alphas = reference(policy, policy.initial_posture, 30, disturb, settling_ticks)
     assert alphas.min() < 0.4
     assert alphas.max() > 0.9
-    loop, policy, _ = closed_loop(policy)
+    loop, policy, _ = closed_loop(policy, settling_ticks=settling_ticks)
     for k in range(30):
         if k:
             loop.simulator.AdvanceTo((k - 0.25) * PERIOD)
@@ -133,10 +135,10 @@ class Scheduled(LeafSystem):
 
 
 def test_what_was_imagined_is_no_command():
-    """At the tick at which alpha falls, the prediction still comes from imagination: it must not open the fingers."""
+    """As alpha falls, the predictions still come from imagination: they must not open the fingers."""
     policy = FakePolicy(drift=0.02)
     detector = Scheduled(20, posture_size=4, horizon=2, state_size=policy.state_size)
-    loop, *_ = closed_loop(policy, detector=detector)
+    loop, *_ = closed_loop(policy, detector=detector, settling_ticks=3)
     start = policy.initial_posture
     half_range = (policy.scaling.upper - policy.scaling.lower) / 2.0
     loop.after_tick(19)
@@ -146,7 +148,9 @@ def test_what_was_imagined_is_no_command():
     # It imagined 21 steps of 0.02; the arm stays where the LQR holds it.
     assert loop.output("predicted_posture") == pytest.approx(start + 21 * 0.02 * half_range)
     assert loop.output("desired_posture") == pytest.approx(start)
-    loop.after_tick(21)
+    loop.after_tick(22)
+    assert loop.output("desired_posture") == pytest.approx(start)
+    loop.after_tick(23)
     assert loop.output("desired_posture") == pytest.approx(start + 0.02 * half_range)
 
 
