@@ -60,6 +60,7 @@ def main(cli: PickPlaceArguments) -> int:
     from pydrake.geometry import Meshcat, MeshcatParams
     from tqdm import tqdm
 
+    from diagrams.controllers import make_detector
     from diagrams.draws import EpisodeDraws
     from diagrams.graph import FORMATS, save_graph
     from diagrams.rollout import Rollout
@@ -78,12 +79,13 @@ def main(cli: PickPlaceArguments) -> int:
         if path is not None:
             _prepare(path)
     episode = EpisodeDraws(cli.world).draw(
-        cli.seed, cli.disturbance, (cli.can[0], cli.can[1]) if cli.can else None, cli.vacant, cli.rnn
+        cli.seed, cli.disturbance, (cli.can[0], cli.can[1]) if cli.can else None, cli.vacant, cli.rnn, cli.detector
     )
     encoder, policy = Encoder(cli.weights / "cae.safetensors"), Policy(cli.weights / f"{cli.rnn}.safetensors")
+    detector = make_detector(cli.detector, policy, cli.weights)
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     try:
-        rollout = Rollout(cli.world, encoder, policy, meshcat=meshcat, video=cli.video)
+        rollout = Rollout(cli.world, encoder, policy, detector, meshcat=meshcat, video=cli.video)
     except ScenarioError:
         raise
     except ValueError as error:  # networks, camera and regulator that do not fit together

@@ -106,6 +106,7 @@ class World:
 
 RNNS = ("lstm", "gru", "mtrnn")
 DISTURBANCES = ("none", "A", "B")
+DETECTORS = ("recall", "knn", "subspace")
 
 
 @dataclass
@@ -113,6 +114,7 @@ class Scenario:
     """One episode and its world: what a scenario file can hold."""
 
     rnn: str = "lstm"  # lstm, gru or mtrnn
+    detector: str = "recall"  # recall, knn or subspace
     disturbance: str = "A"  # none, A or B
     seed: int = 0  # draws the can's position, the vacant spot, and the disturbance's moment and posture
     can: list[float] | None = None  # X Y of the can to pick, m, world; drawn where not given
@@ -123,6 +125,7 @@ class Scenario:
         """Raises ScenarioError for a value outside its choices."""
         for name, value, choices in (
             ("rnn", self.rnn, RNNS),
+            ("detector", self.detector, DETECTORS),
             ("disturbance", self.disturbance, DISTURBANCES),
             ("vacant spot", self.vacant, (*SPOTS, None)),
         ):

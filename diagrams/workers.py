@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from diagrams.controllers import Calibration, Controller
 from diagrams.episode import DETECTION_TICKS, Outcome
 from diagrams.scenario import World
 
-
-@dataclass(frozen=True)
-class Calibration:
-    """What the recall detector needs beside the network (Eqs. 5, 6): mean errors (N + 1), beta, gamma; dimensionless."""
-
-    mean_errors: tuple[float, ...]
-    beta: float
-    gamma: float
+if TYPE_CHECKING:
+    from diagrams.rollout import Record, Rollout
 
 
 @dataclass(frozen=True)
@@ -46,72 +42,84 @@ class Result:
     peak_disturbed: np.ndarray | None  # (N + 1) largest l_n from the onset to the end of the disturbance + 5 ticks
 
 
-_worker = None
+class Worker:
+    """The episodes of one process: what they share is loaded once, and the diagram of each controller built once."""
 
-
-class _Worker:
-    def __init__(self, world: World, encoder: Path, policy: Path, calibration: Calibration | None):
+    def __init__(self, world: World, encoder: Path):
         # The batch-1 network is fastest on one thread, and the processes share the cores. Set before OpenMP starts.
         os.environ["OMP_NUM_THREADS"] = "1"
         import torch
 
         from diagrams.draws import EpisodeDraws
-        from diagrams.rollout import COMPONENT_WEIGHTS, Rollout
-        from models.inference import Encoder, Policy
-        from systems.detector import RecallDetector
+        from models.inference import Encoder
 
         torch.set_num_threads(1)
-        network = Policy(policy)
-        detector = None
-        if calibration is not None:
-            detector = RecallDetector(
-                posture_size=network.posture_size,
-                horizon=network.horizon,
-                state_size=network.state_size,
-                mean_errors=np.array(calibration.mean_errors),
-                beta=calibration.beta,
-                gamma=calibration.gamma,
-                component_weights=COMPONENT_WEIGHTS,
+        self._world, self._encoder = world, Encoder(encoder)
+        self._draws = EpisodeDraws(world)
+        self._rollouts: dict[Controller, Rollout] = {}
+
+    def rollout(self, controller: Controller) -> Rollout:
+        """The diagram with that controller; raises as diagrams.controllers.make_detector and Rollout do."""
+        from diagrams.controllers import make_detector
+        from diagrams.rollout import Rollout
+        from models.inference import Policy
+
+        if controller not in self._rollouts:
+            policy = Policy(controller.policy)
+            detector = make_detector(
+                controller.detector, policy, controller.policy.parent, calibration=controller.calibration
             )
-        self.draws = EpisodeDraws(world)
-        self.rollout = Rollout(world, Encoder(encoder), network, detector)
+            self._rollouts[controller] = Rollout(self._world, self._encoder, policy, detector)
+        return self._rollouts[controller]
 
-    def run(self, job: Job) -> Result:
-        outcome, record = self.rollout.run(
-            self.draws.draw(job.seed, job.kind, rnn=job.rnn),
-            ticks_after=DETECTION_TICKS if job.detection_only else None,
-        )
-        active = record.active > 0.5
-        onset = int(np.argmax(active)) if active.any() else len(active)
-        errors = record.squared_errors
-        disturbed = errors[onset : onset + int(active.sum()) + DETECTION_TICKS]
-        return Result(
-            job,
-            outcome,
-            errors[:onset].sum(axis=0),
-            onset,
-            errors[:onset].max(axis=0),
-            disturbed.max(axis=0) if len(disturbed) else None,
-        )
+    def run(self, job: Job, controller: Controller) -> tuple[Outcome, Record]:
+        """Draws and runs the episode."""
+        episode = self._draws.draw(job.seed, job.kind, rnn=job.rnn, detector=controller.detector)
+        return self.rollout(controller).run(episode, ticks_after=DETECTION_TICKS if job.detection_only else None)
 
 
-def _start(*arguments) -> None:
+def stretches(record: Record) -> tuple[slice, slice]:
+    """Ticks before the onset (all without one), and from the onset to the end of the disturbance + 5 ticks (none without one)."""
+    active = record.active > 0.5
+    onset = int(np.argmax(active)) if active.any() else len(active)
+    return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)
+
+
+def digest_errors(job: Job, outcome: Outcome, record: Record) -> Result:
+    """What the calibration and the evaluation need of a run."""
+    before, after = stretches(record)
+    errors, disturbed = record.squared_errors[before], record.squared_errors[after]
+    peak = disturbed.max(axis=0) if len(disturbed) else None
+    return Result(job, outcome, errors.sum(axis=0), len(errors), errors.max(axis=0), peak)
+
+
+_worker: Worker | None = None
+
+
+def _start(world: World, encoder: Path) -> None:
     global _worker
-    _worker = _Worker(*arguments)
+    _worker = Worker(world, encoder)
 
 
-def _run(job: Job) -> Result:
+def _run(job: Job, controller: Controller, digest: Callable[[Job, Outcome, Record], Any]) -> Any:
     assert _worker is not None
-    return _worker.run(job)
+    return digest(job, *_worker.run(job, controller))
 
 
 def run_jobs(
-    world: World, encoder: Path, policy: Path, jobs: list[Job], *, workers: int, calibration: Calibration | None = None
-) -> Iterator[Result]:
-    """Runs `jobs` and yields each result as it comes; `calibration` replaces the one in the policy's file."""
+    world: World,
+    encoder: Path,
+    policy: Path,
+    jobs: list[Job],
+    *,
+    workers: int,
+    calibration: Calibration | None = None,
+    detector: str = "recall",
+    digest: Callable[[Job, Outcome, Record], Any] = digest_errors,
+) -> Iterator[Any]:
+    """Runs `jobs` and yields `digest(job, outcome, record)` of each as it comes; `calibration` replaces the one in the files."""
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        workers, mp_context=spawn, initializer=_start, initargs=(world, encoder, policy, calibration)
-    ) as pool:
-        for future in as_completed([pool.submit(_run, job) for job in jobs]):
+    controller = Controller(policy, detector, calibration)
+    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_start, initargs=(world, encoder)) as pool:
+        for future in as_completed([pool.submit(_run, job, controller, digest) for job in jobs]):
             yield future.result()

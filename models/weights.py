@@ -94,7 +94,7 @@ def save_autoencoder(path: str | Path, model: ConvolutionalAutoencoder, metadata
         else:
             tensors[name] = value.to(torch.float16 if value.ndim > 1 else torch.float32).contiguous()
     header = {"kind": "autoencoder", "feature_activation": model.feature_activation, "metadata": metadata or {}}
-    _write(path, tensors, header)
+    write_tensors(path, tensors, header)
 
 
 def load_autoencoder(path: str | Path) -> tuple[ConvolutionalAutoencoder, dict[str, Any]]:
@@ -112,7 +112,7 @@ def load_autoencoder(path: str | Path) -> tuple[ConvolutionalAutoencoder, dict[s
 
 def read_autoencoder(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Tensors as stored (NAME int8 with NAME.row_scale) and the header; checks kind and completeness."""
-    tensors, header = _read(path, "autoencoder")
+    tensors, header = read_tensors(path, "autoencoder")
     if any(value.dtype == torch.int8 and name + _SCALE not in tensors for name, value in tensors.items()):
         raise WeightsError(path, "an 8-bit layer comes without its scale", _RETRAIN)
     return tensors, header
@@ -142,12 +142,12 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
         "gamma": policy.gamma,
         "metadata": policy.metadata,
     }
-    _write(path, tensors, header)
+    write_tensors(path, tensors, header)
 
 
 def load_policy(path: str | Path) -> StoredPolicy:
     """Reads what save_policy wrote; networks in eval mode."""
-    tensors, header = _read(path, "policy")
+    tensors, header = read_tensors(path, "policy")
     try:
         rnn = make_rnn(header["rnn"], header["posture_size"], header["feature_size"])
         recall = None
@@ -178,7 +178,8 @@ def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}
 
 
-def _write(path: str | Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
+def write_tensors(path: str | Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
+    """Writes tensors and a JSON-serialisable header with its `kind`; the file appears under its name only when it is whole."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".part")
@@ -188,7 +189,8 @@ def _write(path: str | Path, tensors: dict[str, Tensor], header: dict[str, Any])
     os.replace(partial, path)  # a killed training never leaves half a file under the real name
 
 
-def _read(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def read_tensors(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """What write_tensors wrote; raises WeightsError unless the file is there, whole, finite and of that kind."""
     if not Path(path).is_file():
         raise WeightsError(path, "the weight file does not exist", _RETRAIN)
     try:

@@ -9,6 +9,9 @@ recurrent_policy       network input -> predicted posture and features, recalled
 posture_history        posture -> the postures of this tick and the N before it (discrete state)
 loop_closer            Eqs. 7 and 8: what the network is fed
 detector               Eqs. 5 and 6: recalled against measured postures -> alpha
+window_detector        what the two baselines have in common: the last samples of each joint -> alpha
+knn_detector           the first baseline: distance to the nearest training window
+subspace_detector      the second: what is outside the leading axes of the training windows
 posture_regulator      Drake's LQR for the discrete posture integrator
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 disturbance            moves or stops the arm in an experiment (discrete state)

@@ -14,7 +14,7 @@ from diagrams.draws import SEED_BASE
 from diagrams.episode import Outcome
 from diagrams.evaluate import EvaluateArguments, summarize, wilson
 from diagrams.scenario import ScenarioError, World
-from diagrams.workers import Calibration, Job, Result
+from diagrams.workers import Calibration, Controller, Job, Result
 from models.weights import load_policy
 
 
@@ -145,9 +145,10 @@ def test_calibration_without_any_success_is_an_error(tmp_path, monkeypatch):
 def test_a_worker_runs_a_job_with_the_calibration_given(tmp_path, monkeypatch):
     monkeypatch.setattr(rollout_module, "TIME_LIMIT", 1.5)
     folder = save_untrained(tmp_path / "weights", calibrated=False)
-    paths = folder / "cae.safetensors", folder / "lstm.safetensors"
-    worker = workers._Worker(World(), *paths, Calibration((1.0,) * 11, 30.0, 1e12))
-    found = worker.run(Job(5, "none"))
+    worker = workers.Worker(World(), folder / "cae.safetensors")
+    controller = Controller(folder / "lstm.safetensors", calibration=Calibration((1.0,) * 11, 30.0, 1e12))
+    found = workers.digest_errors(Job(5, "none"), *worker.run(Job(5, "none"), controller))
+    assert worker.rollout(controller) is worker.rollout(controller)  # built once
     assert (found.job, found.ticks, found.outcome.seed) == (Job(5, "none"), 15, 5)
     assert found.squared_error_sum.shape == found.peak_normal.shape == (11,)
     assert np.all(found.peak_normal <= found.squared_error_sum)

@@ -12,9 +12,11 @@ from systems.alpha_mixer import AlphaMixer
 from systems.detector import RecallDetector
 from systems.disturbance import Disturbance
 from systems.image_encoder import ImageEncoder
+from systems.knn_detector import KnnDetector
 from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
 from systems.recurrent_policy import RecurrentPolicy
+from systems.subspace_detector import SubspaceDetector
 
 M, F, N = 4, 4, 2
 POLICY_PORTS = ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state")
@@ -36,6 +38,12 @@ def detector():
     return RecallDetector(posture_size=M, horizon=N, state_size=12, mean_errors=np.ones(N + 1), beta=1.0, gamma=0.0)
 
 
+def window_detector(cls, **fitted):
+    bounds = dict(lower=-np.ones(M), upper=np.ones(M), mean_errors=np.ones(3), beta=1.0, gamma=0.0)
+    return cls(posture_size=M, horizon=N, state_size=12, **bounds, **fitted)
+
+
+WINDOW_FEEDTHROUGH = {("posture_history", o) for o in ("errors", "alpha")}
 DETECTOR_FEEDTHROUGH = {(i, o) for i in ("posture_history", "recalled_postures") for o in ("errors", "alpha")}
 COMMAND_INPUTS = ("sampled_posture", "predicted_posture", "posture_history", "recalled_postures", "last_alphas")
 CASES = {
@@ -50,6 +58,11 @@ CASES = {
         {(i, "network_input") for i in CLOSER_INPUTS},
     ),
     "RecallDetector": (detector, DETECTOR_FEEDTHROUGH),
+    "KnnDetector": (lambda: window_detector(KnnDetector, windows=np.zeros((3, 5, 2))), WINDOW_FEEDTHROUGH),
+    "SubspaceDetector": (
+        lambda: window_detector(SubspaceDetector, axes=np.tile(np.eye(3)[:, :2], (3, 1, 1))),
+        WINDOW_FEEDTHROUGH,
+    ),
     "PostureRegulator": (regulator, {("posture", "step")}),
     "AlphaMixer": (
         lambda: AlphaMixer(posture_size=M, lower=-np.ones(M), upper=np.ones(M), max_step=np.ones(M)),

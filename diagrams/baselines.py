@@ -1,0 +1,241 @@
+"""Fits and calibrates the two baselines of Table II, kNN and the subspace method, for trained networks.
+
+    python diagrams/baselines.py --policies models/weights/lstm*.safetensors --data demonstrations.h5
+
+1. Windows of each joint from the training demonstrations in --data; without it from undisturbed runs of the networks (detector off).
+2. Mean errors: over undisturbed validation episodes that were finished, detector off; the episodes that calibrate.py uses.
+3. gamma: where most of the validation runs, undisturbed and disturbed, are judged right.
+4. Trials in closed loop on validation episodes: that gamma times each factor, with each beta; the one that switches right most often is taken.
+
+Writes knn.safetensors and subspace.safetensors beside the networks. Exit code 2: bad input.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from diagrams.controllers import Calibration, make_window_detector
+from diagrams.draws import episode_seeds
+from diagrams.episode import Outcome
+from diagrams.rollout import Record
+from diagrams.scenario import DISTURBANCES, ROOT, ScenarioError, World
+from diagrams.station import ARM_JOINTS
+from diagrams.workers import Job, run_jobs, stretches
+from models.weights import WeightsError
+from models.windows import METHODS, WINDOW, StoredDetector, leading_axes, posture_windows, save_detector, stored_as
+
+OFF = 1e12  # a gamma at which no detector fires
+
+
+@dataclass
+class BaselinesArguments:
+    """Command line of baselines.py."""
+
+    policies: list[Path]  # calibrated policy files, all in one folder
+    data: Path | None = None  # demonstrations of diagrams/teach.py
+    method: list[str] = field(default_factory=lambda: list(METHODS))  # knn, subspace
+    encoder: Path = ROOT / "models" / "weights" / "cae.safetensors"
+    fit_episodes: int = 50  # undisturbed runs of each network to fit from, without --data
+    episodes: int = 12  # undisturbed validation episodes
+    disturbed: int = 16  # validation episodes of each of A and B
+    trials: int = 8  # validation episodes of each of none, A and B in closed loop, for each gamma and beta
+    factors: list[float] = field(default_factory=lambda: [1.0, 0.5, 0.25, 2.0])  # of gamma; the first wins a draw
+    betas: list[float] = field(default_factory=lambda: [30.0])
+    seed: int = 0
+    workers: int = 2
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What the arm did in one run: angles (ticks, 7) rad; the ticks before the onset, and from it to the end of the disturbance + 5."""
+
+    kind: str
+    success: bool
+    angles: np.ndarray
+    before: slice
+    after: slice
+
+
+def digest_trace(job: Job, outcome: Outcome, record: Record) -> tuple[Job, Trace]:
+    """See Trace."""
+    return job, Trace(job.kind, outcome.success, record.posture[:, :ARM_JOINTS], *stretches(record))
+
+
+def digest_outcome(job: Job, outcome: Outcome, record: Record) -> tuple[Job, Outcome]:
+    """The outcome alone."""
+    return job, outcome
+
+
+def past_windows(angles: np.ndarray, initial: np.ndarray) -> np.ndarray:
+    """(J, ticks, w): the window that a detector sees at each tick of (ticks, J) `angles`; `initial` (J,) stands before the first."""
+    return posture_windows([np.vstack([np.tile(initial, (WINDOW - 1, 1)), angles])])
+
+
+def best_gamma(normal: np.ndarray, disturbed: np.ndarray) -> float:
+    """The gamma with most peaks of normal runs (R,) below and of disturbed runs (D,) above it: the geometric middle of the widest such gap."""
+    edges = np.unique(np.concatenate([normal, disturbed]))
+    # Beyond all peaks too: a gamma that calls everything normal, or nothing.
+    edges = np.concatenate([[0.5 * edges[0]], edges, [2.0 * edges[-1]]])
+    middles = np.sqrt(edges[:-1] * edges[1:])
+    right = np.array([np.sum(normal < gamma) + np.sum(disturbed >= gamma) for gamma in middles])
+    width = np.where(right == right.max(), edges[1:] / edges[:-1], 0.0)
+    return float(middles[np.argmax(width)])
+
+
+def calibrate(
+    anomaly: Callable[[np.ndarray], np.ndarray], traces: Sequence[Trace], initial: np.ndarray
+) -> tuple[np.ndarray, float, dict[str, Any]]:
+    """Mean errors (J,) and gamma from runs with the detector off, and the peaks that they come from.
+
+    `anomaly`: see WindowDetector; `initial`: (J,) rad. Raises ScenarioError if no undisturbed run was finished.
+    """
+    errors = [anomaly(past_windows(trace.angles, initial)).T for trace in traces]
+    done = [e for e, trace in zip(errors, traces, strict=True) if trace.kind == "none" and trace.success]
+    if not done:
+        raise ScenarioError("no undisturbed validation task was finished: calibrate a network that does its task")
+    mean = np.concatenate(done).mean(axis=0)
+    if np.any(mean == 0.0):
+        raise ScenarioError(f"joint {int(np.argmin(mean)) + 1} has no error at all on normal runs: fit on other runs")
+    peaks: dict[str, list[float]] = {kind: [] for kind in ("normal", *DISTURBANCES[1:])}
+    for e, trace in zip(errors, traces, strict=True):
+        for name, ticks in (("normal", trace.before), (trace.kind, trace.after)):
+            # An undisturbed run that failed may have left the learned way by itself.
+            if len(e[ticks]) and not (trace.kind == "none" and not trace.success):
+                peaks[name].append(float((e[ticks] / mean).max()))
+    disturbed = np.array(peaks["A"] + peaks["B"])
+    if not len(disturbed):
+        raise ScenarioError("no disturbance came in any validation run: raise --disturbed")
+    return mean, best_gamma(np.array(peaks["normal"]), disturbed), peaks
+
+
+def main(arguments: BaselinesArguments) -> int:
+    """Writes a file a method beside the policies; returns the exit code."""
+    from models.inference import Policy
+
+    _check(arguments)
+    policies = {path: Policy(path) for path in arguments.policies}
+    runs = stored_as(_training_runs(arguments, policies))
+    windows = posture_windows(runs)
+    print(f"{windows.shape[1]} windows of {len(runs)} runs", flush=True)
+    notes = {"data": None if arguments.data is None else arguments.data.name, "runs": len(runs), "seed": arguments.seed}
+    stored = {}
+    for method in arguments.method:
+        fitted = {"axes": leading_axes(windows)} if method == "subspace" else {"runs": runs}
+        stored[method] = StoredDetector(method, metadata=dict(notes), **fitted)
+        save_detector(_file(arguments, method), stored[method])  # what the trials run is what was stored
+    for path, policy in policies.items():
+        counts = {kind: arguments.episodes if kind == "none" else arguments.disturbed for kind in DISTURBANCES}
+        traces = _run(arguments, path, policy, counts, digest_trace)
+        for method, detector in stored.items():
+            ones = Calibration((1.0,) * ARM_JOINTS, 1.0, OFF)
+            anomaly = make_window_detector(detector, policy, ones).anomaly
+            mean, gamma, peaks = calibrate(anomaly, traces, policy.initial_posture[:ARM_JOINTS])
+            print(
+                f"{path.name}, {method}: normal errors peak at {np.median(peaks['normal']):.1f} times their mean (median), "
+                f"{max(peaks['normal']):.1f} (largest); disturbed ones at "
+                + ", ".join(f"{kind} {min(peaks[kind]):.1f} (smallest)" for kind in "AB" if peaks[kind])
+            )
+            beta, gamma, trials = _try(arguments, path, policy, method, mean, gamma)
+            print(f"{path.name}, {method}: beta {beta:g}, gamma {gamma:.1f}", flush=True)
+            detector.calibrations[policy.hash] = {"mean_errors": mean.tolist(), "beta": beta, "gamma": gamma}
+            detector.metadata[policy.hash] = {"policy": path.name, "peaks": peaks, "trials": trials}
+            save_detector(_file(arguments, method), detector)
+    print(f"written: {', '.join(str(_file(arguments, method)) for method in arguments.method)}")
+    return 0
+
+
+def _check(arguments: BaselinesArguments) -> None:
+    for method in arguments.method:
+        if method not in METHODS:
+            raise ScenarioError(f"there is no method '{method}': choose from {', '.join(METHODS)}")
+    if not arguments.method or not arguments.factors or not arguments.betas:
+        raise ScenarioError("methods, factors and betas need one value at least")
+    if len({path.parent.resolve() for path in arguments.policies}) != 1:
+        raise ScenarioError("the policies lie in several folders: put them into one, their baselines lie beside them")
+    if importlib.util.find_spec("sklearn") is None:
+        raise ScenarioError("the baselines need scikit-learn: pip install -e '.[sweep]'")
+
+
+def _file(arguments: BaselinesArguments, method: str) -> Path:
+    return arguments.policies[0].parent / f"{method}.safetensors"
+
+
+def _training_runs(arguments: BaselinesArguments, policies: dict[Path, Any]) -> list[np.ndarray]:
+    """(T, J) rad each."""
+    if arguments.data is not None:
+        from models.dataset import DatasetError, read_demonstrations
+
+        try:
+            return [demo.posture[:, :ARM_JOINTS] for demo in read_demonstrations(arguments.data, "train")]
+        except DatasetError as error:
+            raise ScenarioError(str(error)) from error
+    traces = [
+        trace
+        for path, policy in policies.items()
+        for trace in _run(arguments, path, policy, {"none": arguments.fit_episodes}, digest_trace, purpose="fitting")
+    ]
+    runs = [trace.angles for trace in traces if trace.success]
+    if not runs:
+        raise ScenarioError(
+            f"none of {len(traces)} tasks was finished: fit on a network that does its task, or give --data"
+        )
+    return runs
+
+
+def _run(
+    arguments: BaselinesArguments,
+    path: Path,
+    policy: Any,
+    counts: dict[str, int],
+    digest: Callable,
+    *,
+    purpose: str = "validation",
+    method: str = "recall",
+    calibration: Calibration | None = None,
+) -> list[Any]:
+    """Runs so many episodes of each kind of disturbance, by default with the detector off; their digests in the order of the seeds."""
+    from tqdm import tqdm
+
+    if calibration is None:
+        calibration = Calibration((1.0,) * (policy.horizon + 1), 1.0, OFF)
+    seeds = episode_seeds(purpose, arguments.seed, max(counts.values()))
+    jobs = [Job(seed, kind, policy.name) for kind, count in counts.items() for seed in seeds[:count]]
+    done = run_jobs(
+        World(), arguments.encoder, path, jobs, workers=arguments.workers, calibration=calibration, detector=method,
+        digest=digest,
+    )  # fmt: skip
+    bar = tqdm(done, total=len(jobs), desc=f"{path.stem} {method}", unit="episode", leave=False, disable=None)
+    return [digested for _, digested in sorted(bar, key=lambda pair: (pair[0].seed, pair[0].kind))]
+
+
+def _try(
+    arguments: BaselinesArguments, path: Path, policy: Any, method: str, mean: np.ndarray, gamma: float
+) -> tuple[float, float, list[dict[str, float]]]:
+    """The beta and gamma with most switching successes in closed loop, and how each did."""
+    trials: list[dict[str, float]] = []
+    for beta, factor in itertools.product(arguments.betas, arguments.factors):
+        calibration = Calibration(tuple(mean.tolist()), beta, factor * gamma)
+        counts = dict.fromkeys(DISTURBANCES, arguments.trials)
+        outcomes = _run(arguments, path, policy, counts, digest_outcome, method=method, calibration=calibration)
+        successes = sum(o.switch_success for o in outcomes)
+        print(f"  beta {beta:g}, gamma {factor * gamma:.1f}: {successes} of {len(outcomes)} switched right", flush=True)
+        trials.append({"beta": beta, "gamma": factor * gamma, "successes": successes, "episodes": len(outcomes)})
+    best = max(trials, key=lambda trial: trial["successes"])
+    return best["beta"], best["gamma"], trials
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(tyro.cli(BaselinesArguments, description=__doc__)))
+    except (ScenarioError, WeightsError) as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)

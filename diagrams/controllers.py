@@ -1,0 +1,94 @@
+"""Which controller: the policy's file, its detector, and the detector's calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydrake.systems.framework import System
+
+from diagrams.rollout import COMPONENT_WEIGHTS
+from diagrams.scenario import DETECTORS, ScenarioError
+from systems.detector import RecallDetector
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a detector needs beside what was learned (Eqs. 5, 6): mean errors, one a criterion (N + 1 of the recall), beta, gamma.
+
+    The means are in the unit of the detector's errors; beta and gamma are dimensionless.
+    """
+
+    mean_errors: tuple[float, ...]
+    beta: float
+    gamma: float
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A policy file, a detector (one of DETECTORS; a baseline's file lies beside the policy), and a calibration instead of the files'."""
+
+    policy: Path
+    detector: str = "recall"
+    calibration: Calibration | None = None
+
+
+def policy_name(rnn: str, training_seed: int = 0) -> str:
+    """File name of a trained network: lstm.safetensors is that of training seed 0, lstm-1.safetensors that of seed 1."""
+    return f"{rnn}-{training_seed}.safetensors" if training_seed else f"{rnn}.safetensors"
+
+
+def stored_calibration(detector: str, policy, folder: Path) -> Calibration:
+    """The calibration in the files in `folder`; `policy`: see models/inference.py.
+
+    Raises ScenarioError for a policy without, WeightsError for a baseline's file that is missing, damaged, or without one for this policy.
+    """
+    from models.windows import calibration_of, load_detector
+
+    if detector == "recall":
+        if policy.mean_errors is None or policy.beta is None or policy.gamma is None:
+            raise ScenarioError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
+        return Calibration(tuple(policy.mean_errors), policy.beta, policy.gamma)
+    path = folder / f"{detector}.safetensors"
+    found = calibration_of(path, load_detector(path, detector), policy.hash)
+    return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"])
+
+
+def make_detector(detector: str, policy, folder: Path, calibration: Calibration | None = None) -> System:
+    """The detector of that name for `policy`, with `calibration` instead of the one in the files; raises as stored_calibration does."""
+    from models.windows import load_detector
+
+    if detector not in DETECTORS:
+        raise ScenarioError(f"there is no detector '{detector}': choose one of {', '.join(DETECTORS)}")
+    if calibration is None:
+        calibration = stored_calibration(detector, policy, folder)
+    if detector == "recall":
+        return RecallDetector(**_arguments(policy, calibration), component_weights=COMPONENT_WEIGHTS)
+    return make_window_detector(load_detector(folder / f"{detector}.safetensors", detector), policy, calibration)
+
+
+def make_window_detector(stored, policy, calibration: Calibration) -> System:
+    """The baseline `stored` (models/windows.py) for `policy`; raises ScenarioError where scikit-learn is not installed."""
+    from models.windows import posture_windows
+    from systems.knn_detector import KnnDetector
+    from systems.subspace_detector import SubspaceDetector
+
+    arguments = _arguments(policy, calibration) | {"lower": policy.scaling.lower, "upper": policy.scaling.upper}
+    if stored.axes is not None:
+        return SubspaceDetector(axes=stored.axes, **arguments)
+    try:
+        return KnnDetector(windows=posture_windows(stored.runs), **arguments)
+    except ModuleNotFoundError as error:
+        raise ScenarioError(f"the detector knn needs {error.name}: pip install -e '.[sweep]'") from error
+
+
+def _arguments(policy, calibration: Calibration) -> dict:
+    return {
+        "posture_size": policy.posture_size,
+        "horizon": policy.horizon,
+        "state_size": policy.state_size,
+        "mean_errors": np.array(calibration.mean_errors),
+        "beta": calibration.beta,
+        "gamma": calibration.gamma,
+    }

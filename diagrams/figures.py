@@ -1,0 +1,280 @@
+"""Figures 4 to 7 of the paper, and switching success against gamma.
+
+    python diagrams/figures.py --out outputs/figures --sweep outputs/sweep
+
+Figs. 5 to 7 need every tick: the episodes are run again, and come out as in the sweep, to the bit. With --sweep they are the first ones in
+which all went well; without it the first ones of --seed. Fig. 4 is drawn from the weight files, the curve of gamma from a sweep with several
+values of --gamma. Exit code 2: bad input.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tyro
+
+from diagrams.controllers import policy_name
+from diagrams.draws import EpisodeDraws, episode_seeds
+from diagrams.episode import Episode, Outcome
+from diagrams.rollout import Record, Rollout
+from diagrams.scenario import DISTURBANCES, RNNS, ROOT, ScenarioError, World
+from models.weights import WeightsError, load_autoencoder
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LOOK_EVERY = 5  # ticks between two pictures that are kept
+TRAINING_SEEDS = range(10)
+CANDIDATES = 200  # seeds to look through for a run in which the can is taken from the hand
+PICTURES = ("camera", r"decoded $f_k$", r"decoded $f^R_{k+1}$")
+
+
+@dataclass
+class FiguresArguments:
+    """Command line of figures.py."""
+
+    out: Path = Path("outputs/figures")
+    sweep: Path | None = None  # folder of a sweep
+    rnn: str = "lstm"  # of Figs. 5 to 7
+    training_seed: int = 0
+    seed: int = 0  # of the episodes, without --sweep
+    weights: Path = ROOT / "models" / "weights"
+
+
+@dataclass
+class Looks:
+    """What the camera and the network saw: tick, picture uint8 (112, 112, 3), predicted features (30,)."""
+
+    tick: list[int]
+    rgb: list[np.ndarray]
+    predicted: list[np.ndarray]
+
+
+def recall_losses(weights: Path) -> dict[str, np.ndarray]:
+    """By the network's name (training seeds, N): the calibration's mean recall errors, n = 1..N, of the weight files that are there."""
+    from models.weights import load_policy
+
+    losses = {}
+    for rnn in RNNS:
+        paths = [path for seed in TRAINING_SEEDS if (path := weights / policy_name(rnn, seed)).is_file()]
+        rows = [stored.mean_errors[1:] for path in paths if (stored := load_policy(path)).mean_errors is not None]
+        if rows:
+            losses[rnn] = np.array(rows)
+        else:
+            print(f"Fig. 4: {rnn} has no calibrated weights in {weights}: left out")
+    return losses
+
+
+def read_sweep(folder: Path) -> pd.DataFrame:
+    """The episodes of the sweep in `folder`; raises ScenarioError if there are none."""
+    import pandas as pd
+
+    path = folder / "episodes.parquet"
+    if not path.is_file():
+        raise ScenarioError(f"{path} does not exist: run diagrams/sweep.py with --out {folder}, to its end")
+    return pd.read_parquet(path)
+
+
+def choose(kind: str, rows: pd.DataFrame | None, arguments: FiguresArguments, draws: EpisodeDraws) -> Episode:
+    """The episode to show under that disturbance; under B one in which the can is taken from the hand, if there is one."""
+    if rows is None:
+        seeds = episode_seeds("evaluation", arguments.seed, CANDIDATES if kind == "B" else 1)
+    else:
+        mine = rows[
+            (rows["rnn"] == arguments.rnn)
+            & (rows["training_seed"] == arguments.training_seed)
+            & (rows["detector"] == "recall")
+            & (rows["disturbance"] == kind)
+            & rows["gamma"].isna()
+        ]
+        if mine.empty:
+            raise ScenarioError(
+                f"the sweep has no episode of {arguments.rnn}, training seed {arguments.training_seed}, disturbance {kind}, "
+                "with the calibrated gamma: run it, or leave --sweep out"
+            )
+        good = mine["success"].astype(int) + mine["switch_success"].astype(int)
+        seeds = [int(seed) for seed in mine["seed"][good == good.max()]]
+    for seed in seeds if kind == "B" else []:
+        episode = draws.draw(seed, kind, rnn=arguments.rnn)
+        if episode.disturbance.can_moved_to is not None:
+            return episode
+    return draws.draw(seeds[0], kind, rnn=arguments.rnn)
+
+
+def run(rollout: Rollout, episode: Episode) -> tuple[Outcome, Record, Looks]:
+    """Runs the episode and looks at it now and then."""
+    from tqdm import tqdm
+
+    looks = Looks([], [], [])
+
+    def look(ticks: int) -> None:
+        bar.update()
+        if (ticks - 1) % LOOK_EVERY == 0:
+            context = rollout.simulator.get_context()
+            image = rollout.station.GetOutputPort("rgb_image").Eval(rollout.station.GetMyContextFromRoot(context))
+            predicted = rollout.controller.GetOutputPort("predicted_features")
+            looks.tick.append(ticks - 1)
+            looks.rgb.append(image.data[:, :, :3].copy())
+            looks.predicted.append(predicted.Eval(rollout.controller.GetMyContextFromRoot(context)).copy())
+
+    with tqdm(desc=f"disturbance {episode.disturbance.kind}", unit="tick", leave=False, disable=None) as bar:
+        outcome, record = rollout.run(episode, on_tick=look)
+    return outcome, record, looks
+
+
+def reconstructions(record: Record, looks: Looks, encoder, decoder) -> list[tuple[float, str, list[np.ndarray]]]:
+    """For each event the picture next to it, what the autoencoder makes of it, and what it makes of the predicted features."""
+    import torch
+
+    def decode(features: np.ndarray) -> np.ndarray:
+        with torch.inference_mode():
+            image = decoder.decode(torch.from_numpy(features)[None].float())[0]
+        return (255.0 * image.clamp(0.0, 1.0)).byte().permute(1, 2, 0).numpy()
+
+    happened: dict[int, list[str]] = {}
+    for seconds, what in record.events:
+        happened.setdefault(int(np.argmin(np.abs(record.time[looks.tick] - seconds))), []).append(what)
+    return [
+        (
+            float(record.time[looks.tick[n]]),
+            "; ".join(words),
+            [looks.rgb[n], decode(encoder.encode(looks.rgb[n])), decode(looks.predicted[n])],
+        )
+        for n, words in happened.items()
+    ]
+
+
+def subtasks(home: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """(n,) 1 or 2: a subtask ends when the arm is at its initial posture; then the can is in the hand (2) or not (1).
+
+    `home`, `held`: (n,) bool.
+    """
+    last_home = np.maximum.accumulate(np.where(home, np.arange(len(home)), -1))
+    return np.where((last_home >= 0) & held[last_home], 2, 1)
+
+
+def principal_states(
+    records: dict[str, Record], world: World
+) -> tuple[dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]], np.ndarray, np.ndarray]:
+    """What plots.save_states draws: the runs on the first principal components of all their hidden states, c_0 there, and the ratios."""
+    from sklearn.decomposition import PCA
+
+    from diagrams.episode import HOME_TOLERANCE, LIFTED
+    from diagrams.station import CAN_HALF_HEIGHT
+
+    pca = PCA(3).fit(np.concatenate([record.hidden_state for record in records.values()]))
+    runs = {}
+    for title, record in records.items():
+        home = np.all(np.abs(record.posture - world.initial_posture)[:, :-1] < HOME_TOLERANCE, axis=1)
+        held = (record.posture[:, -1] < 0.5 * world.opening) & (record.can_poses[:, 6] > CAN_HALF_HEIGHT + LIFTED)
+        runs[title] = (pca.transform(record.hidden_state), subtasks(home, held), record.alpha)
+    origin = pca.transform(np.zeros((1, pca.n_features_in_)))[
+        0
+    ]  # c_0, to which every subtask's last state is drawn in training
+    return runs, origin, pca.explained_variance_ratio_
+
+
+def gamma_curves(rows: pd.DataFrame) -> tuple[dict[str, list], dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Switching success of each controller and disturbance at each gamma, and its upper bound from the runs at the largest gamma.
+
+    A run is the same under each gamma until an error first reaches it. So what the largest gamma let happen says for every smaller one, without
+    another run, whether there would have been a false alarm and whether the disturbance would have been noticed; not whether the return and the
+    resumption would have gone well, which takes the runs.
+    """
+    from diagrams.sweep_summary import cells
+
+    swept = rows[rows["gamma"].notna()]
+    curves: dict[str, list] = {}
+    for cell in sorted(cells(swept), key=lambda cell: cell["gamma"]):
+        label = f"{cell['rnn'].upper()} {cell['detector']}, {'no disturbance' if cell['disturbance'] == 'none' else cell['disturbance']}"
+        curves.setdefault(label, []).append(
+            {name: cell[name] for name in ("rnn", "detector", "disturbance", "gamma")} | cell["switching"]
+        )
+    bounds = {}
+    for label, points in curves.items():
+        last = points[-1]
+        same = np.logical_and.reduce(
+            [swept[name] == last[name] for name in ("rnn", "detector", "disturbance", "gamma")]
+        )
+        cell_rows = swept[same]
+        gammas = np.geomspace(points[0]["gamma"], last["gamma"], 200)
+        quiet = cell_rows["error_peak_normal"].to_numpy()[:, None] < gammas
+        seen = cell_rows["error_peak_disturbed"].to_numpy()[:, None] >= gammas
+        good = quiet if last["disturbance"] == "none" else quiet & seen
+        bounds[label] = (gammas, good.mean(axis=0))
+    return {label: points for label, points in curves.items() if len(points) > 1}, bounds
+
+
+def main(arguments: FiguresArguments) -> int:
+    """Writes the figures and figures.json; returns the exit code."""
+    import torch
+
+    from diagrams import plots
+    from models.inference import Encoder, Policy
+
+    for name in ("sklearn", "pandas"):
+        if importlib.util.find_spec(name) is None:
+            raise ScenarioError(f"the figures need {name}: pip install -e '.[sweep]'")
+    if arguments.rnn not in RNNS:
+        raise ScenarioError(f"there is no rnn '{arguments.rnn}': choose one of {', '.join(RNNS)}")
+    torch.set_num_threads(1)  # as in every sweep: the sums are the same
+    world, out = World(), arguments.out
+    encoder_path = arguments.weights / "cae.safetensors"
+    encoder, decoder = Encoder(encoder_path), load_autoencoder(encoder_path)[0]
+    policy = Policy(arguments.weights / policy_name(arguments.rnn, arguments.training_seed))
+    rows = None if arguments.sweep is None else read_sweep(arguments.sweep)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"{out} cannot be written ({error.strerror}): choose another --out") from error
+    notes: dict[str, Any] = {"rnn": arguments.rnn, "weights_hash": policy.hash}
+
+    losses = recall_losses(arguments.weights)
+    if losses:
+        plots.save_recall_loss(losses, out / "fig4_recall_loss.png")
+        notes["recall_loss"] = {name: values.tolist() for name, values in losses.items()}
+
+    draws, rollout = EpisodeDraws(world), Rollout(world, encoder, policy)
+    episodes = {kind: choose(kind, rows, arguments, draws) for kind in DISTURBANCES}
+    runs = {kind: run(rollout, episode) for kind, episode in episodes.items()}
+    for kind, (outcome, _, _) in runs.items():
+        word = "done" if outcome.success else f"failed ({outcome.failure})"
+        print(f"disturbance {kind}: episode {outcome.seed}, task {word}", flush=True)
+    notes["episodes"] = {kind: outcome.to_dict() for kind, (outcome, _, _) in runs.items()}
+    records = {kind: record for kind, (_, record, _) in runs.items()}
+    plots.save_sequences(records, out / "fig5_sequences.png")
+    columns = reconstructions(records["B"], runs["B"][2], encoder, decoder)
+    plots.save_reconstructions(columns, PICTURES, out / "fig6_reconstructions.png")
+    states, origin, ratios = principal_states(
+        {"no disturbance": records["none"], "disturbance B": records["B"]}, world
+    )  # fmt: skip
+    plots.save_states(states, origin, ratios, out / "fig7_states.png")
+    notes["contribution_ratios"] = ratios.tolist()
+    print(
+        "contribution ratios of the hidden states: "
+        + ", ".join(f"PC{i + 1} {100 * r:.1f} %" for i, r in enumerate(ratios))
+    )
+
+    curves, bounds = gamma_curves(rows) if rows is not None else ({}, {})
+    if curves:
+        plots.save_gamma_curve(curves, bounds, policy.gamma, out / "gamma.png")
+        notes["gamma"] = curves
+    else:
+        print("no sweep with several values of --gamma: its curve is left out")
+    (out / "figures.json").write_text(json.dumps(notes, indent=1) + "\n")
+    print(f"written: {', '.join(str(path) for path in sorted([*out.glob('*.png'), out / 'figures.json']))}")
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(tyro.cli(FiguresArguments, description=__doc__)))
+    except (ScenarioError, WeightsError) as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,230 @@
+"""Runs many episodes over many processes: every combination of networks, detectors and disturbances that is asked for.
+
+    python diagrams/sweep.py --episodes 40 --rnn lstm gru --disturbance none A B --out outputs/sweep
+
+Started again with the same --out it runs what is missing. Exit code 0: done; 1: some episode raised an error; 2: bad input.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from diagrams.controllers import policy_name, stored_calibration
+from diagrams.draws import SEED_BLOCKS, SEEDS_APART, episode_seeds
+from diagrams.scenario import DETECTORS, DISTURBANCES, RNNS, ROOT, ScenarioError
+from models.weights import WeightsError
+
+try:
+    from distributed import Client, LocalCluster, as_completed
+
+    from diagrams.sweep_store import EpisodeStore
+    from diagrams.sweep_task import ENCODER, HASHES, Task, WeightFiles, error_row, run_task
+except ModuleNotFoundError as absent:
+    print(f"error: a sweep needs {absent.name}: pip install -e '.[sweep]'", file=sys.stderr)
+    sys.exit(2)
+
+
+@dataclass
+class SweepArguments:
+    """Every combination of the options that take several values is run, on the same episodes."""
+
+    episodes: int = 40  # of each combination
+    seed: int = 0  # episode i has the same scene and disturbance under every controller
+    rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn
+    detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace
+    disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
+    training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.safetensors, 1 is lstm-1.safetensors
+    gamma: list[float] = field(default_factory=list)  # instead of the calibrated one (3 is the paper's)
+    workers: int = os.cpu_count() or 1  # processes of this machine
+    scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
+    weights: Path = ROOT / "models" / "weights"  # folder of the trained networks
+    out: Path = Path("outputs/sweep")  # folder of episodes.parquet, summary.json and the parts
+    retry_errors: bool = False  # run episodes that raised an error once more
+
+
+def check(arguments: SweepArguments) -> None:
+    """Raises ScenarioError for a value outside its choices."""
+    for name, values, choices in (
+        ("rnn", arguments.rnn, RNNS),
+        ("detector", arguments.detector, DETECTORS),
+        ("disturbance", arguments.disturbance, DISTURBANCES),
+    ):
+        for value in values:
+            if value not in choices:
+                raise ScenarioError(f"there is no {name} '{value}': choose from {', '.join(choices)}")
+        if not values:
+            raise ScenarioError(f"no {name} is given: choose from {', '.join(choices)}")
+    for what, number, least, most in (
+        ("number of episodes", arguments.episodes, 1, SEEDS_APART),
+        ("seed", arguments.seed, 0, SEED_BLOCKS - 1),
+        ("number of workers", arguments.workers, 1, 1000),
+        *(("training seed", seed, 0, 999) for seed in arguments.training_seeds),
+    ):
+        if not least <= number <= most:
+            raise ScenarioError(f"the {what} {number} is out of range: choose from {least} to {most}")
+    if not arguments.training_seeds:
+        raise ScenarioError("no training seed is given: choose from 0 on")
+
+
+def plan(arguments: SweepArguments) -> tuple[list[Task], WeightFiles]:
+    """The episodes in the order of the table, and the files that they need.
+
+    Raises WeightsError or ScenarioError if a file is missing, damaged, or does not fit the others.
+    """
+    from models.inference import Policy
+    from models.weights import file_hash, load_autoencoder
+
+    folder = arguments.weights
+    names = {ENCODER} | {f"{name}.safetensors" for name in arguments.detector if name != "recall"}
+    load_autoencoder(folder / ENCODER)
+    encoder_hash = file_hash(folder / ENCODER)
+    gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
+    controllers = []
+    for rnn, training_seed in itertools.product(_unique(arguments.rnn), _unique(arguments.training_seeds)):
+        name = policy_name(rnn, training_seed)
+        names.add(name)
+        policy = Policy(folder / name)
+        if policy.encoder_hash != encoder_hash:
+            raise WeightsError(folder / name, f"was trained with another autoencoder than {ENCODER}", "Give that one")
+        for detector, gamma in itertools.product(_unique(arguments.detector), gammas):
+            own = stored_calibration(detector, policy, folder)
+            detector_hash = None if detector == "recall" else file_hash(folder / f"{detector}.safetensors")
+            calibration = None if gamma is None else dataclasses.replace(own, gamma=gamma)
+            controllers.append((rnn, training_seed, detector, gamma, policy.hash, detector_hash, calibration))
+    files = WeightFiles({name: (folder / name).read_bytes() for name in names})
+    seeds = episode_seeds("evaluation", arguments.seed, arguments.episodes)
+    return [
+        Task(
+            rnn, training_seed, detector, gamma, kind, seed, files.hash, policy_hash, encoder_hash, detector_hash, own
+        )
+        for rnn, training_seed, detector, gamma, policy_hash, detector_hash, own in controllers
+        for kind in _unique(arguments.disturbance)
+        for seed in seeds
+    ], files  # fmt: skip
+
+
+def _unique(values: list) -> list:
+    return list(dict.fromkeys(values))
+
+
+@contextmanager
+def connect(scheduler: str | None, workers: int) -> Iterator[Client]:
+    """A client of the cluster at `scheduler`, or of one of `workers` processes of one thread each on this machine."""
+    import dask
+
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=20)
+        except (OSError, ValueError) as error:
+            raise ScenarioError(f"there is no Dask scheduler at {scheduler} ({error}): check the address") from error
+        with client:
+            yield client
+        return
+    # The profiler would look at the stack of each worker a hundred times a second.
+    with (
+        dask.config.set({"distributed.worker.profile.enabled": False}),
+        LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def execute(
+    client: Client, run: Callable[[Task], dict[str, Any]], tasks: list[Task]
+) -> Iterator[tuple[Task, dict[str, Any]]]:
+    """Runs `run` on each task on the workers; yields each with its row as it comes.
+
+    A worker that dies is replaced and its task run again; a task under which workers die again and again becomes a row with that error.
+    A task that the cluster gave up (its scheduler is lost) does not come.
+    """
+    futures = client.map(run, tasks, pure=False)
+    asked = dict(zip((future.key for future in futures), tasks, strict=True))
+    # Only what is under way is kept: a result that was taken is let go.
+    completed = as_completed(futures)
+    del futures
+    for future in completed:
+        task = asked[future.key]
+        if future.status == "finished":
+            yield task, future.result()
+        elif future.status == "error":
+            yield task, error_row(task, future.exception())
+        future.release()
+
+
+def main(arguments: SweepArguments) -> int:
+    """Runs what is missing, writes episodes.parquet and summary.json, prints the table; returns the exit code."""
+    from tqdm import tqdm
+
+    check(arguments)
+    tasks, files = plan(arguments)
+    store = EpisodeStore(arguments.out)
+    rows = store.read(task.key for task in tasks)
+    for task in tasks:
+        if task.key in rows and any(rows[task.key][name] != getattr(task, name) for name in HASHES):
+            raise ScenarioError(
+                f"{arguments.out} holds episodes of other weights than {arguments.weights} has now: choose another --out"
+            )
+    missing = [t for t in tasks if t.key not in rows or (arguments.retry_errors and rows[t.key]["error"] is not None)]
+    if missing:
+        print(f"{len(tasks)} episodes, {len(tasks) - len(missing)} of them done; starting the workers ...", flush=True)
+        with (
+            connect(arguments.scheduler, min(arguments.workers, len(missing))) as client,
+            tqdm(
+                total=len(tasks), initial=len(tasks) - len(missing), unit="episode", smoothing=0.1, disable=None
+            ) as bar,
+        ):
+            client.register_plugin(files)
+            for task, row in execute(client, run_task, missing):
+                store.add(task.key, row)
+                rows[task.key] = row
+                bar.update()
+                if row["error"] is not None:
+                    tqdm.write(f"{task.key}: {row['error']}")
+    lost = [task for task in tasks if task.key not in rows]
+    if lost:
+        print(f"{len(lost)} episodes were given up by the cluster: start again with the same --out", file=sys.stderr)
+        return 1
+    return finish(arguments, store, [rows[task.key] for task in tasks])
+
+
+def finish(arguments: SweepArguments, store: EpisodeStore, rows: list[dict[str, Any]]) -> int:
+    """Writes and prints what the rows say; returns the exit code."""
+    import pandas as pd
+
+    from diagrams.sweep_summary import cells, comparisons, table
+
+    path = store.finish(rows)
+    frame = pd.read_parquet(path)
+    summary = {
+        "arguments": {name: str(v) if isinstance(v, Path) else v for name, v in dataclasses.asdict(arguments).items()},
+        "cells": cells(frame),
+        "comparisons": comparisons(frame),
+    }
+    (store.folder / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    print(table(summary))
+    errors = sum(row["error"] is not None for row in rows)
+    if errors:
+        print(f"{errors} of {len(rows)} episodes raised an error: see the column `error` of {path}", file=sys.stderr)
+    print(f"written: {path}, {store.folder / 'summary.json'}")
+    return 1 if errors else 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(tyro.cli(SweepArguments, description=__doc__)))
+    except (ScenarioError, WeightsError) as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)

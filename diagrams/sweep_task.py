@@ -1,0 +1,118 @@
+"""What a worker of a sweep does: one episode in, one row out, whatever happens in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from distributed import Worker as DaskWorker
+from distributed import WorkerPlugin, get_worker
+
+from diagrams.controllers import Calibration, Controller, policy_name
+from diagrams.scenario import World
+from diagrams.workers import Job, Worker, stretches
+
+ENCODER = "cae.safetensors"
+HASHES = ("weights_hash", "encoder_hash", "detector_hash")
+LABELS = ("rnn", "training_seed", "detector", "gamma", "disturbance", "seed", *HASHES)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One episode of a sweep: its controller (files that WeightFiles brought), its disturbance, its seed."""
+
+    rnn: str
+    training_seed: int
+    detector: str
+    gamma: float | None  # instead of the calibrated one
+    disturbance: str
+    seed: int
+    bundle: str  # hash of all files that the sweep sent
+    weights_hash: str  # of the policy's file
+    encoder_hash: str
+    detector_hash: str | None  # of a baseline's file
+    calibration: Calibration | None = None  # what gamma makes of the one in the files
+
+    @property
+    def key(self) -> str:
+        """Says which episode it is; a file name without suffix."""
+        gamma = "own" if self.gamma is None else f"{self.gamma:g}"
+        return f"{self.rnn}-{self.training_seed}-{self.detector}-{gamma}-{self.disturbance}-{self.seed}"
+
+    def labels(self) -> dict[str, Any]:
+        """Columns of a row that are known before the episode is run."""
+        return {name: getattr(self, name) for name in LABELS}
+
+
+class WeightFiles(WorkerPlugin):
+    """Brings the weight files to every worker, wherever it runs and whenever it starts."""
+
+    name = "hindsight-weights"
+
+    def __init__(self, files: dict[str, bytes]):
+        """`files`: name to content."""
+        self.files = files
+        digest = hashlib.sha256()
+        for name, content in sorted(files.items()):
+            digest.update(name.encode() + b"\0" + hashlib.sha256(content).digest())
+        self.hash = digest.hexdigest()
+
+    def setup(self, worker: DaskWorker) -> None:
+        """Writes the files into the worker's scratch folder."""
+        folder = weights_folder(worker, self.hash)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in self.files.items():
+            (folder / name).write_bytes(content)
+
+
+def weights_folder(worker: DaskWorker, bundle: str) -> Path:
+    """Where WeightFiles puts the files whose hash is `bundle`."""
+    return Path(worker.local_directory) / f"weights-{bundle[:16]}"
+
+
+# A renderer belongs to the thread that made it, and a worker of a foreign cluster may have several threads.
+_thread = threading.local()
+
+
+def _worker_of(folder: Path) -> Worker:
+    if getattr(_thread, "folder", None) != folder:
+        _thread.worker, _thread.folder = Worker(World(), folder / ENCODER), folder
+    return _thread.worker
+
+
+def run_task(task: Task) -> dict[str, Any]:
+    """Runs the episode on a Dask worker; its row, with `error` set if it raised."""
+    return run_in(weights_folder(get_worker(), task.bundle), task)
+
+
+def run_in(folder: Path, task: Task) -> dict[str, Any]:
+    """Runs the episode with the weight files in `folder`; its row, with `error` set if it raised."""
+    try:
+        controller = Controller(folder / policy_name(task.rnn, task.training_seed), task.detector, task.calibration)
+        outcome, record = _worker_of(folder).run(Job(task.seed, task.disturbance, task.rnn), controller)
+    except (Exception, SystemExit) as error:  # Drake calls exit for some of its errors
+        return error_row(task, error)
+    before, after = stretches(record)
+    return {
+        **dataclasses.asdict(outcome),
+        **task.labels(),
+        "error_peak_normal": _peak(record.errors[before]),
+        "error_peak_disturbed": _peak(record.errors[after]),
+        "error": None,
+    }
+
+
+def error_row(task: Task, error: BaseException) -> dict[str, Any]:
+    """The row of an episode that raised: a failure of the task and of the switching."""
+    text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    failed = {"success": False, "switch_success": False, "failure": "error", "switch_failure": "error"}
+    return {**task.labels(), **failed, "error": text}
+
+
+def _peak(errors: np.ndarray) -> float | None:
+    return float(errors.max()) if errors.size else None

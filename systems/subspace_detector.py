@@ -1,0 +1,45 @@
+"""The second baseline: how much of a window is outside the subspace of the leading axes of the training runs' windows?"""
+
+import numpy as np
+
+from systems.window_detector import WindowDetector
+
+
+class SubspaceDetector(WindowDetector):
+    """a_j = ||q_j||^2 - ||U_j' q_j||^2, the squared residual of the window of joint j.
+
+    The leading axes are near {constant, ramp}: an arm that stands still has no residual.
+
+    .. pydrake_system::
+
+        name: SubspaceDetector
+        input_ports:
+        - posture_history
+        - recalled_postures
+        - hidden_state
+        output_ports:
+        - errors
+        - alpha
+
+    Ports: see WindowDetector.
+    """
+
+    def __init__(self, *, axes: np.ndarray, **arguments):
+        """
+        Args:
+            axes: (J, w, A) U, orthonormal columns, newest sample first.
+            arguments: of WindowDetector, but for joints and window.
+        """
+        axes = np.asarray(axes, dtype=float)
+        if axes.ndim != 3 or not axes.size:
+            raise ValueError(f"axes has shape {axes.shape}; it must be (J, w, A), none 0: fit again.")
+        gram = axes.swapaxes(1, 2) @ axes
+        if not np.allclose(gram, np.eye(axes.shape[2]), atol=1e-5):
+            raise ValueError(f"axes are not orthonormal (U'U is {gram.round(3).tolist()}): fit again.")
+        super().__init__(joints=axes.shape[0], window=axes.shape[1], **arguments)
+        self._outside = np.eye(axes.shape[1]) - axes @ axes.swapaxes(1, 2)
+
+    def anomaly(self, windows: np.ndarray) -> np.ndarray:
+        """See WindowDetector; rad^2."""
+        # The residual's own length: the difference of the two squares would lose it to rounding.
+        return np.square(windows @ self._outside).sum(axis=2)

@@ -1,0 +1,104 @@
+"""Rates, intervals, deviations and paired tests of a sweep, against hand-worked numbers and other libraries."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import binomtest
+
+from diagrams.sweep_summary import cells, comparisons, rate, spread, table
+
+
+@pytest.mark.parametrize(("successes", "n"), [(38, 40), (40, 40), (0, 40), (115, 120), (1, 1)])
+def test_interval_is_wilsons(successes, n):
+    found = rate(np.arange(n) < successes, np.zeros(n, int))
+    expected = binomtest(successes, n).proportion_ci(method="wilson")
+    assert found["interval"] == pytest.approx([expected.low, expected.high], abs=1e-9)
+    assert (found["n"], found["successes"], found["rate"]) == (n, successes, successes / n)
+
+
+def test_mean_and_deviation_over_training_seeds_are_as_the_paper_gives_them():
+    # 37, 39 and 39 of 40: the 95.8 +- 2.4 % of Table II.
+    successes = np.concatenate([np.arange(40) < count for count in (37, 39, 39)])
+    found = rate(successes, np.repeat([0, 1, 2], 40))
+    assert found["by_training_seed"] == {"0": 0.925, "1": 0.975, "2": 0.975}
+    assert (round(100 * found["mean"], 1), round(100 * found["deviation"], 1)) == (95.8, 2.4)
+
+
+def test_spread_leaves_out_what_never_came():
+    assert spread(pd.Series([1.0, None, 3.0])) == {"median": 2.0, "p95": pytest.approx(2.9), "n": 2}
+    assert spread(pd.Series([None, None], dtype=float)) is None
+
+
+def frame(rnn, flags, detector="recall", gamma=None, training_seed=0, disturbance="A"):
+    """Rows of one controller: `flags` say which episodes succeeded, at the task and at the switching."""
+    n = len(flags)
+    flags = np.asarray(flags, bool)
+    return pd.DataFrame(
+        {
+            "rnn": rnn, "detector": detector, "gamma": np.full(n, np.nan if gamma is None else gamma),
+            "disturbance": disturbance, "training_seed": training_seed, "seed": np.arange(n), "success": flags,
+            "switch_success": flags, "failure": [None if f else "stalled" for f in flags],
+            "switch_failure": [None if f else "not resumed" for f in flags], "error": None,
+            "detection_delay_s": 0.2, "return_s": np.linspace(1.0, 3.0, n), "resume_s": np.full(n, np.nan),
+            "sim_seconds": 40.0, "realtime_factor": 5.0,
+        }
+    )  # fmt: skip
+
+
+def test_cells_pool_the_training_seeds_and_nothing_else():
+    rows = pd.concat(
+        [
+            frame("lstm", [1, 1, 1, 0]),
+            frame("lstm", [1, 1, 0, 0], training_seed=1),
+            frame("lstm", [0, 0, 0, 0], gamma=3.0),
+            frame("gru", [1, 1, 1, 1]),
+        ]
+    )
+    found = cells(rows)
+    assert [(c["rnn"], c["gamma"], c["task"]["n"], c["task"]["successes"]) for c in found] == [
+        ("lstm", None, 8, 5), ("lstm", 3.0, 4, 0), ("gru", None, 4, 4),
+    ]  # fmt: skip
+    assert found[0]["task"]["by_training_seed"] == {"0": 0.75, "1": 0.5}
+    assert found[0]["task"]["failures"] == {"stalled": 3}
+    assert found[0]["switching"]["failures"] == {"not resumed": 3}
+    assert found[0]["return_s"]["median"] == pytest.approx(2.0)
+    assert found[0]["resume_s"] is None
+
+
+def test_comparison_is_mcnemars_exact_test_on_the_pairs():
+    a = np.array([1] * 30 + [1] * 9 + [0] * 1)
+    b = np.array([1] * 30 + [0] * 9 + [1] * 1)
+    rows = pd.concat([frame("lstm", a), frame("lstm", b, detector="knn").sample(frac=1.0, random_state=0)])
+    found = comparisons(rows)
+    assert [c["measure"] for c in found] == ["task", "switching"]
+    assert (found[0]["n"], found[0]["only_a"], found[0]["only_b"]) == (40, 9, 1)
+    assert found[0]["p"] == pytest.approx(binomtest(1, 10).pvalue)  # 22/1024, by hand
+    assert found[0]["p"] == pytest.approx(22 / 1024)
+
+
+def test_controllers_that_never_differ_have_p_1():
+    rows = pd.concat([frame("lstm", [1, 0, 1]), frame("gru", [1, 0, 1])])
+    assert {c["p"] for c in comparisons(rows)} == {1.0}
+
+
+def test_pairs_are_of_one_disturbance_training_seed_and_gamma():
+    rows = pd.concat(
+        [
+            frame("lstm", [1, 1]),
+            frame("lstm", [1, 1], gamma=3.0),
+            frame("gru", [0, 1], training_seed=1),
+            frame("gru", [0, 1, 1], disturbance="B"),
+        ]
+    )
+    assert [(c["n"], c["p"]) for c in comparisons(rows)] == [(0, 1.0), (0, 1.0)]
+
+
+def test_table_and_json_say_it_all():
+    rows = pd.concat([frame("lstm", [1, 1, 1, 0]), frame("gru", [1, 0, 0, 0], gamma=3.0)])
+    summary = {"cells": cells(rows), "comparisons": comparisons(rows)}
+    text = table(summary)
+    for words in ("LSTM recall", "GRU recall gamma 3", "3 of    4", "75.0 %", "stalled 3", "noticed after 0.2 s"):
+        assert words in text
+    json.dumps(summary)
