@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from pydrake.geometry.optimization import HPolyhedron, VPolytope
 
@@ -9,7 +11,7 @@ from diagrams.clearance import Clearance
 from diagrams.demonstration import GRASP_ABOVE_CENTRE, HOVER, SUBTASK_STEPS, commands, subtask_waypoints
 from diagrams.episode import DisturbanceDraw, Episode
 from diagrams.kinematics import HandKinematics
-from diagrams.scenario import SPOTS, ScenarioError, World
+from diagrams.scenario import SPOTS, Scenario, ScenarioError, World
 from diagrams.station import ARM_JOINTS, CAN_HALF_HEIGHT
 
 UNLEARNED = (0.010, 0.020)  # distance of an unlearned position to the nearest trained one, m
@@ -74,6 +76,22 @@ class EpisodeDraws:
             raise ScenarioError(f"there is no spot '{vacant}' on the shelf: choose one of {', '.join(SPOTS)}")
         self.require_reachable(can_xy)
         return Episode(seed, can_xy, vacant, self._disturbance(experimenter, kind, can_xy, vacant), rnn, detector)
+
+    def episode(self, scenario: Scenario) -> Episode:
+        """The episode that `scenario` gives, drawn where it leaves something open; raises ScenarioError as `draw` does."""
+        can_xy = (scenario.can[0], scenario.can[1]) if scenario.can else None
+        given = scenario.experimenter
+        if given.level is None:
+            return self.draw(
+                scenario.seed, scenario.disturbance, can_xy, scenario.vacant, scenario.rnn, scenario.detector
+            )
+        episode = self.draw(scenario.seed, "none", can_xy, scenario.vacant, scenario.rnn, scenario.detector)
+        if scenario.disturbance == "none":
+            return episode
+        target = None if given.target is None else tuple(float(q) for q in given.target)
+        moved = None if given.can_moved_to is None else (float(given.can_moved_to[0]), float(given.can_moved_to[1]))
+        draw = DisturbanceDraw(scenario.disturbance, given.subtask, given.level, target, given.hold_ticks, moved)
+        return replace(episode, disturbance=draw)
 
     def require_reachable(self, can_xy: tuple[float, float]) -> None:
         """Raises ScenarioError unless the hand can hover over, grasp and lift a can at `can_xy` (m, world)."""

@@ -30,6 +30,7 @@ class PickPlaceArguments(Scenario):
     plot: Path = Path("outputs/timeline.png")  # postures, both controllers' steps and alpha over time
     video: Path | None = None  # .mp4 of a camera that sees the whole arm
     json: Path | None = None  # the outcome
+    log: Path | None = None  # .npz of every tick, for analysis.py
     meshcat: bool = False  # show the run live, on this machine only
     realtime_rate: float = 0.0  # 1: as fast as the real arm; 0: as fast as possible
     weights: Annotated[Path, tyro.conf.arg(help="folder of the trained networks")] = field(
@@ -63,6 +64,7 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.controllers import make_detector
     from diagrams.draws import EpisodeDraws
     from diagrams.graph import FORMATS, save_graph
+    from diagrams.records import save_record
     from diagrams.rollout import Rollout
     from diagrams.timeline import FORMATS as PLOT_FORMATS
     from diagrams.timeline import save_timeline
@@ -70,17 +72,20 @@ def main(cli: PickPlaceArguments) -> int:
 
     torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
     # Before the episode, not after it.
-    for path, formats in ((cli.graphviz, FORMATS), (cli.plot, PLOT_FORMATS), (cli.video, (".mp4",))):
+    for path, formats in (
+        (cli.graphviz, FORMATS),
+        (cli.plot, PLOT_FORMATS),
+        (cli.video, (".mp4",)),
+        (cli.log, (".npz",)),
+    ):
         if path is not None and path.suffix not in formats:
             raise ScenarioError(
                 f"{path.name} has no format that can be written: choose a name that ends in {', '.join(formats)}"
             )
-    for path in (cli.graphviz, cli.record, cli.plot, cli.video, cli.json):
+    for path in (cli.graphviz, cli.record, cli.plot, cli.video, cli.json, cli.log):
         if path is not None:
             _prepare(path)
-    episode = EpisodeDraws(cli.world).draw(
-        cli.seed, cli.disturbance, (cli.can[0], cli.can[1]) if cli.can else None, cli.vacant, cli.rnn, cli.detector
-    )
+    episode = EpisodeDraws(cli.world).episode(cli)
     encoder, policy = Encoder(cli.weights / "cae.safetensors"), Policy(cli.weights / f"{cli.rnn}.safetensors")
     detector = make_detector(cli.detector, policy, cli.weights)
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
@@ -111,6 +116,8 @@ def main(cli: PickPlaceArguments) -> int:
     cli.record.write_text(meshcat.StaticHtml())
     if cli.json is not None:
         cli.json.write_text(json.dumps(outcome.to_dict(), indent=2) + "\n")
+    if cli.log is not None:
+        save_record(cli.log, record, outcome)
     word = "done" if outcome.success else f"failed ({outcome.failure})"
     save_timeline(
         record, cli.plot, f"{cli.rnn.upper()}, disturbance {outcome.disturbance}, seed {cli.seed}: task {word}"
@@ -127,7 +134,7 @@ def main(cli: PickPlaceArguments) -> int:
     print(
         f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({outcome.realtime_factor:.1f} times real time)"
     )
-    written = [path for path in (cli.record, cli.plot, cli.graphviz, cli.video, cli.json) if path is not None]
+    written = [path for path in (cli.record, cli.plot, cli.graphviz, cli.video, cli.json, cli.log) if path is not None]
     print(f"written: {', '.join(str(path) for path in written)}")
     return 0 if outcome.success else 1
 

@@ -110,6 +110,47 @@ DETECTORS = ("recall", "knn", "subspace")
 
 
 @dataclass
+class Experimenter:
+    """The disturbance in full: with a `level` nothing about it is drawn; without one all of it is."""
+
+    level: float | None = None  # distance to the goal at which it begins, m
+    subtask: int = 1  # 1: the distance is the hand's to the can; 2: the held can's to its spot
+    target: list[float] | None = None  # kind A: where the arm is moved to, seven joint angles, rad
+    hold_ticks: int = 0  # how long it is held there (A) or stopped (B), ticks
+    can_moved_to: list[float] | None = None  # X Y where the can is put meanwhile, m, world
+
+    def check(self, kind: str) -> None:
+        """Raises ScenarioError for what does not make a disturbance of `kind`; without a disturbance nothing of it is read."""
+        if kind == "none":
+            return
+        if self.level is None:
+            if self != Experimenter():
+                raise ScenarioError(
+                    "experimenter.level is missing, without which the disturbance is drawn: give it in metres"
+                )
+            return
+        if not 0 < self.level < float("inf"):
+            raise ScenarioError(
+                f"experimenter.level {self.level} is no distance: give a number greater than 0, in metres"
+            )
+        if self.subtask not in (1, 2):
+            raise ScenarioError(f"there is no subtask {self.subtask} (experimenter.subtask): choose 1 or 2")
+        if self.hold_ticks < (1 if kind == "B" else 0):
+            raise ScenarioError(
+                f"experimenter.hold_ticks {self.hold_ticks} is too short: choose 1 or more (A: 0 or more)"
+            )
+        wanted = 7 if kind == "A" else 0
+        if len(self.target or []) != wanted or not np.all(np.isfinite(self.target or [])):
+            raise ScenarioError(
+                f"experimenter.target {self.target} does not fit disturbance {kind}: give {wanted} joint angles in rad"
+            )
+        if self.can_moved_to is not None and len(self.can_moved_to) != 2:
+            raise ScenarioError(
+                f"experimenter.can_moved_to {self.can_moved_to} does not have two numbers: give x and y"
+            )
+
+
+@dataclass
 class Scenario:
     """One episode and its world: what a scenario file can hold."""
 
@@ -119,6 +160,7 @@ class Scenario:
     seed: int = 0  # draws the can's position, the vacant spot, and the disturbance's moment and posture
     can: list[float] | None = None  # X Y of the can to pick, m, world; drawn where not given
     vacant: str | None = None  # left or right; drawn where not given
+    experimenter: Experimenter = field(default_factory=Experimenter)
     world: World = field(default_factory=World)
 
     def check(self) -> None:
@@ -135,6 +177,7 @@ class Scenario:
             raise ScenarioError(f"the seed {self.seed} is negative: choose a whole number from 0 on")
         if self.can is not None and len(self.can) != 2:
             raise ScenarioError(f"the can's position {self.can} does not have two numbers: give x and y in metres")
+        self.experimenter.check(self.disturbance)
 
 
 def load_scenario(path: Path) -> Scenario:
@@ -150,3 +193,10 @@ def load_scenario(path: Path) -> Scenario:
         raise ScenarioError(
             f"the scenario file {path} does not fit: {reason}; see Scenario in diagrams/scenario.py for its keys"
         ) from error
+
+
+def save_scenario(path: Path, scenario: Scenario) -> None:
+    """Writes what differs from the defaults to the YAML file `path`; `load_scenario` gives the same bits back."""
+    from pydrake.common.yaml import yaml_dump_typed
+
+    yaml_dump_typed(scenario, filename=str(path), defaults=Scenario())

@@ -29,7 +29,7 @@ try:
     from distributed import Client, LocalCluster, as_completed
 
     from diagrams.sweep_store import EpisodeStore
-    from diagrams.sweep_task import ENCODER, HASHES, Task, WeightFiles, error_row, run_task
+    from diagrams.sweep_task import ENCODER, HASHES, RECORD, Task, WeightFiles, error_row, run_task
 except ModuleNotFoundError as absent:
     print(f"error: a sweep needs {absent.name}: pip install -e '.[sweep]'", file=sys.stderr)
     sys.exit(2)
@@ -50,6 +50,7 @@ class SweepArguments:
     scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
     weights: Path = ROOT / "models" / "weights"  # folder of the trained networks
     out: Path = Path("outputs/sweep")  # folder of episodes.parquet, summary.json and the parts
+    log: bool = False  # keep the record of each episode that is run in OUT/records, for analysis.py modes
     retry_errors: bool = False  # run episodes that raised an error once more
 
 
@@ -106,7 +107,8 @@ def plan(arguments: SweepArguments) -> tuple[list[Task], WeightFiles]:
     seeds = episode_seeds("evaluation", arguments.seed, arguments.episodes)
     return [
         Task(
-            rnn, training_seed, detector, gamma, kind, seed, files.hash, policy_hash, encoder_hash, detector_hash, own
+            rnn, training_seed, detector, gamma, kind, seed, files.hash, policy_hash, encoder_hash, detector_hash, own,
+            arguments.log,
         )
         for rnn, training_seed, detector, gamma, policy_hash, detector_hash, own in controllers
         for kind in _unique(arguments.disturbance)
@@ -188,6 +190,8 @@ def main(arguments: SweepArguments) -> int:
         ):
             client.register_plugin(files)
             for task, row in execute(client, run_task, missing):
+                if (record := row.pop(RECORD, None)) is not None:
+                    store.keep_record(task.key, record)
                 store.add(task.key, row)
                 rows[task.key] = row
                 bar.update()

@@ -59,6 +59,12 @@ class EpisodeStore:
             os.fsync(file.fileno())
         os.replace(partial, self._parts / f"{key}.parquet")
 
+    def keep_record(self, key: str, content: bytes) -> None:
+        """Writes a record (content of a file of diagrams/records.py) as `folder`/records/KEY.npz."""
+        folder = self.folder / "records"
+        folder.mkdir(exist_ok=True)
+        (folder / f"{key}.npz").write_bytes(content)
+
     def read(self, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
         """The rows there are, by key."""
         rows = {}

@@ -19,6 +19,7 @@ from diagrams.workers import Job, Worker, stretches
 
 ENCODER = "cae.safetensors"
 HASHES = ("weights_hash", "encoder_hash", "detector_hash")
+RECORD = "record"  # entry of a row that is no column of the table: the content of a file of diagrams/records.py
 LABELS = ("rnn", "training_seed", "detector", "gamma", "disturbance", "seed", *HASHES)
 
 
@@ -37,6 +38,7 @@ class Task:
     encoder_hash: str
     detector_hash: str | None  # of a baseline's file
     calibration: Calibration | None = None  # what gamma makes of the one in the files
+    log: bool = False  # send the record along, see RECORD
 
     @property
     def key(self) -> str:
@@ -94,7 +96,12 @@ def run_in(folder: Path, task: Task) -> dict[str, Any]:
     """Runs the episode with the weight files in `folder`; its row, with `error` set if it raised."""
     try:
         controller = Controller(folder / policy_name(task.rnn, task.training_seed), task.detector, task.calibration)
-        outcome, record = _worker_of(folder).run(Job(task.seed, task.disturbance, task.rnn), controller)
+        path = folder / f"{task.key}.npz" if task.log else None
+        outcome, record = _worker_of(folder).run(Job(task.seed, task.disturbance, task.rnn, log=path), controller)
+        log = {}
+        if path is not None:
+            log[RECORD] = path.read_bytes()
+            path.unlink()
     except (Exception, SystemExit) as error:  # Drake calls exit for some of its errors
         return error_row(task, error)
     before, after = stretches(record)
@@ -104,6 +111,7 @@ def run_in(folder: Path, task: Task) -> dict[str, Any]:
         "error_peak_normal": _peak(record.errors[before]),
         "error_peak_disturbed": _peak(record.errors[after]),
         "error": None,
+        **log,
     }
 
 

@@ -28,6 +28,7 @@ class Job:
     kind: str
     rnn: str = "lstm"
     detection_only: bool = False  # ends as soon as the disturbance cannot be detected any more
+    log: Path | None = None  # .npz for the run's record, see diagrams/records.py
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,13 @@ class Worker:
     def run(self, job: Job, controller: Controller) -> tuple[Outcome, Record]:
         """Draws and runs the episode."""
         episode = self._draws.draw(job.seed, job.kind, rnn=job.rnn, detector=controller.detector)
-        return self.rollout(controller).run(episode, ticks_after=DETECTION_TICKS if job.detection_only else None)
+        ticks_after = DETECTION_TICKS if job.detection_only else None
+        outcome, record = self.rollout(controller).run(episode, ticks_after=ticks_after)
+        if job.log is not None:
+            from diagrams.records import save_record
+
+            save_record(job.log, record, outcome)
+        return outcome, record
 
 
 def stretches(record: Record) -> tuple[slice, slice]:

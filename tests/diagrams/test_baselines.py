@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_evaluation import OUTCOME
+from test_calibrate import OUTCOME
 from untrained import save_untrained
 
 from diagrams import baselines, controllers

@@ -18,6 +18,7 @@ from untrained import save_untrained
 from diagrams import rollout as rollout_module
 from diagrams import sweep, sweep_task
 from diagrams.draws import SEED_BASE
+from diagrams.records import find_records, load_record
 from diagrams.scenario import ROOT, ScenarioError
 from diagrams.sweep import SweepArguments, connect, execute
 from diagrams.sweep_store import SCHEMA, TIMES, EpisodeStore
@@ -165,12 +166,16 @@ def test_dead_workers_are_replaced(tmp_path):
 def test_real_episodes(tmp_path, weights, cluster, monkeypatch):
     """The whole way with untrained networks, 1.5 s an episode: their detector notices everything at once."""
     monkeypatch.setattr(rollout_module, "TIME_LIMIT", 1.5)
-    assert run(cluster, weights, tmp_path, episodes=2, disturbance=["none"], gamma=[1e12, 10.0]) == 0
+    assert run(cluster, weights, tmp_path, episodes=2, disturbance=["none"], gamma=[1e12, 10.0], log=True) == 0
     rows = pq.read_table(tmp_path / "episodes.parquet").to_pylist()
     assert [(r["switched"], r["switch_failure"]) for r in rows] == [(False, None)] * 2 + [(True, "false switch")] * 2
     assert [r["sim_seconds"] for r in rows] == [1.5] * 4
     assert all(r["error"] is None and r["error_peak_normal"] > 10.0 and r["error_peak_disturbed"] is None for r in rows)
     assert rows[0]["can_xy"] == rows[2]["can_xy"] != rows[1]["can_xy"]
+    records = [load_record(path) for path in find_records([tmp_path / "records"])]
+    assert len(records) == 4
+    assert all(len(record.time) == 15 for record, _ in records)
+    assert {tuple(outcome["can_xy"]) for _, outcome in records} == {tuple(row["can_xy"]) for row in rows}
 
 
 def test_whatever_an_episode_raises_is_its_row(tmp_path, weights, monkeypatch):

@@ -1,41 +1,19 @@
-"""Evaluation and calibration: intervals, summaries, which candidate is taken, and what is written."""
+"""Calibration: which candidate is taken, what is written, and what a worker runs."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from untrained import save_untrained
 
-from diagrams import calibrate, evaluate, workers
+from diagrams import calibrate, workers
 from diagrams import rollout as rollout_module
 from diagrams.calibrate import CalibrateArguments
 from diagrams.draws import SEED_BASE
 from diagrams.episode import Outcome
-from diagrams.evaluate import EvaluateArguments, summarize, wilson
 from diagrams.scenario import ScenarioError, World
 from diagrams.workers import Calibration, Controller, Job, Result
 from models.weights import load_policy
-
-
-@pytest.mark.parametrize(
-    ("successes", "n", "low", "high"),
-    [
-        # Of statsmodels' proportion_confint(method="wilson").
-        (38, 40, 0.8350, 0.9862),
-        (40, 40, 0.9124, 1.0),
-        (0, 40, 0.0, 0.0876),
-        (20, 40, 0.3520, 0.6480),
-        (1, 1, 0.2065, 1.0),
-    ],
-)
-def test_wilson(successes, n, low, high):
-    assert wilson(successes, n) == pytest.approx((low, high), abs=5e-5)
-
-
-def test_wilson_of_nothing():
-    assert wilson(0, 0) == (0.0, 1.0)
-
 
 OUTCOME = Outcome(
     seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True, placed=True,
@@ -52,44 +30,6 @@ def result(job, success=True, peak=20.0, reached=4000.0, seconds=40.0):
     )  # fmt: skip
     mean = 1e-4 * np.arange(1, 12)
     return Result(job, outcome, 100 * mean, 100, peak * mean, None if job.kind == "none" else reached * mean)
-
-
-def test_summary_counts_what_there_is():
-    results = [result(Job(seed, "A"), success=seed > 0, seconds=40.0 + seed) for seed in range(4)]
-    cell = summarize(results)
-    assert (cell["task"]["successes"], cell["task"]["n"], cell["task"]["rate"]) == (3, 4, 0.75)
-    assert cell["task"]["interval"] == list(wilson(3, 4))
-    assert cell["switching"]["successes"] == 4
-    assert cell["failures"] == {"stalled": 1}
-    assert cell["sim_seconds"]["median"] == 41.5
-    json.dumps(cell)
-
-
-def test_evaluation_writes_every_episode(tmp_path, monkeypatch, capsys):
-    folder = save_untrained(tmp_path / "weights")
-    asked = []
-
-    def run_jobs(world, encoder, policy, jobs, *, workers, calibration):
-        asked.extend(jobs)
-        yield from (result(job, success=job.seed % 10 > 0) for job in reversed(jobs))
-
-    monkeypatch.setattr(evaluate, "run_jobs", run_jobs)
-    out = tmp_path / "new" / "evaluation.json"
-    assert evaluate.main(EvaluateArguments(episodes=20, disturbance=["none", "B"], weights=folder, out=out)) == 0
-    report = json.loads(out.read_text())
-    seeds = [SEED_BASE["evaluation"] + i for i in range(20)]
-    assert [e["seed"] for e in report["episodes"]] == seeds + seeds
-    assert {job.kind for job in asked} == {"none", "B"}
-    assert report["cells"]["B"]["task"]["successes"] == 18
-    printed = capsys.readouterr().out
-    assert "18 of  20   90.0 %" in printed
-    assert "{'stalled': 2}" in printed
-
-
-@pytest.mark.parametrize("change", [{"disturbance": ["none", "C"]}, {"rnn": "rnn"}])
-def test_evaluation_refuses_unknown_words(change):
-    with pytest.raises(ScenarioError, match="there is no"):
-        evaluate.main(EvaluateArguments(**change))
 
 
 def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, monkeypatch, capsys):

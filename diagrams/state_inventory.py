@@ -1,0 +1,82 @@
+"""Every state of the hybrid system: which system owns it, how large it is, how often it changes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from pydrake.systems.framework import Context, Diagram, System
+
+KINDS = ("continuous", "discrete", "abstract")
+
+
+@dataclass(frozen=True)
+class State:
+    """One state: `owner` is the system's path in the root Diagram; `size` in numbers (continuous, discrete) or 1 (an abstract value);
+    `period` s, None where the system declares no single one; `index`: among the owner's states of that kind."""
+
+    owner: str
+    system: str
+    kind: str
+    index: int
+    size: int
+    period: float | None
+
+
+def inventory(diagram: Diagram, context: Context) -> list[State]:
+    """All states of `diagram` (a root) in its `context`, in the order of the diagram."""
+    found: list[State] = []
+    _collect(diagram, context, "", found)
+    return found
+
+
+def _collect(system: System, root: Context, path: str, found: list[State]) -> None:
+    if isinstance(system, Diagram):
+        for part in system.GetSystems():
+            _collect(part, root, f"{path}/{part.get_name()}" if path else part.get_name(), found)
+        return
+    context = system.GetMyContextFromRoot(root)
+    name = type(system).__name__
+    timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+    period = None if timing is None else float(timing.period_sec())
+    if context.num_continuous_states():
+        found.append(State(path, name, "continuous", 0, context.num_continuous_states(), None))
+    for i in range(context.num_discrete_state_groups()):
+        found.append(State(path, name, "discrete", i, context.get_discrete_state(i).size(), period))
+    for i in range(context.num_abstract_states()):
+        found.append(State(path, name, "abstract", i, 1, None))
+
+
+def report(diagram: Diagram, context: Context) -> dict:
+    """The list, its sums, those of the root Context, and whether they agree; plain types."""
+    states = inventory(diagram, context)
+
+    def total(kind: str) -> int:
+        return sum(state.size for state in states if state.kind == kind)
+
+    sums = {kind: total(kind) for kind in KINDS} | {
+        "discrete_groups": sum(state.kind == "discrete" for state in states)
+    }
+    groups = range(context.num_discrete_state_groups())
+    root = {
+        "continuous": context.num_continuous_states(),
+        "discrete": sum(context.get_discrete_state(i).size() for i in groups),
+        "abstract": context.num_abstract_states(),
+        "discrete_groups": context.num_discrete_state_groups(),
+    }
+    return {"states": [asdict(state) for state in states], "sums": sums, "root_context": root, "agree": sums == root}
+
+
+def table(found: dict) -> str:
+    """The report as lines for people."""
+    rows = [("owner", "system", "kind", "size", "period (s)")]
+    for s in found["states"]:
+        rows.append(
+            (s["owner"], s["system"], s["kind"], str(s["size"]), "" if s["period"] is None else f"{s['period']:g}")
+        )
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    sums = ", ".join(f"{found['sums'][kind]} {kind}" for kind in KINDS)
+    verdict = "agrees" if found["agree"] else "does not agree"
+    return "\n".join(
+        [*lines, f"together {sums}, in {found['sums']['discrete_groups']} groups; the root Context {verdict}"]
+    )
