@@ -4,8 +4,8 @@
 
 1. Each candidate runs undisturbed validation episodes with the detector off; those that finish most go on.
 2. Mean errors, Eq. 5, are averages over those runs.
-3. gamma: the geometric middle between the largest error ratio of normal runs and the smallest of disturbed runs, on validation episodes.
-4. Of those that go on, the one that finishes most disturbed validation episodes with its calibration (then: fastest undisturbed) is taken.
+3. gamma: as many standard deviations above the peaks of normal runs as below those of disturbed ones (see threshold), on validation episodes.
+4. If several go on, the one that finishes most disturbed validation episodes with its calibration (then: fastest undisturbed) is taken.
 Validation seeds are no evaluation's seeds (diagrams/draws.py).
 """
 
@@ -35,8 +35,8 @@ class CalibrateArguments:
     candidates: list[Path]  # policy files with recall heads
     out: Path  # the calibrated copy of the best one
     encoder: Path = ROOT / "models" / "weights" / "cae.safetensors"
-    episodes: int = 12  # undisturbed validation episodes a candidate
-    disturbed: int = 12  # validation episodes of each of A and B
+    episodes: int = 20  # undisturbed validation episodes a candidate
+    disturbed: int = 24  # validation episodes of each of A and B
     seed: int = 0
     workers: int = 2
 
@@ -49,6 +49,27 @@ class Calibrated:
     gamma: float
     normal_peaks: np.ndarray  # of the undisturbed runs that ended in success
     disturbed_peaks: dict[str, np.ndarray]  # by kind
+
+
+def threshold(normal: np.ndarray, disturbed: np.ndarray) -> tuple[float, float]:
+    """gamma between peaks of error ratios (R,), (D,), equally many standard deviations of their logarithms from either mean; and how many.
+
+    Not the middle of the gap: the extremes of some tens of runs say little about the next hundred. Raises ScenarioError with fewer than two
+    of either, or where the disturbed ones are no larger.
+    """
+    if min(len(normal), len(disturbed)) < 2:
+        raise ScenarioError(
+            "gamma needs two finished undisturbed and two disturbed episodes at least: raise their numbers"
+        )
+    low, high = np.log(normal), np.log(disturbed)
+    spread = low.std(ddof=1) + high.std(ddof=1)
+    if high.mean() <= low.mean():
+        raise ScenarioError(
+            "disturbed runs have no larger errors than normal ones: the recall tells nothing, train its heads longer"
+        )
+    deviations = (high.mean() - low.mean()) / spread if spread > 0.0 else np.inf
+    share = low.std(ddof=1) / spread if spread > 0.0 else 0.5
+    return float(np.exp(low.mean() + share * (high.mean() - low.mean()))), float(deviations)
 
 
 class Calibrator:
@@ -92,9 +113,9 @@ class Calibrator:
             print(
                 f"  disturbance {kind}: ratios reach {np.sort(ratios)[:4].round(1)} (smallest), {np.median(ratios):.0f} (median)"
             )
-        smallest = float(np.quantile(np.concatenate(list(reached.values())), 0.02))
-        gamma = float(np.sqrt(max(peaks.max(), 1.0) * max(smallest, peaks.max())))
-        print(f"  beta {BETA}, gamma {gamma:.1f}")
+        # The kind that is harder to notice decides.
+        gamma, deviations = min(threshold(peaks, ratios) for ratios in reached.values())
+        print(f"  beta {BETA}, gamma {gamma:.1f}: {deviations:.1f} standard deviations from either")
         return Calibrated(mean_errors, gamma, peaks, reached)
 
 
@@ -110,15 +131,17 @@ def main(arguments: CalibrateArguments) -> int:
     if not most:
         raise ScenarioError(f"no candidate finished one of {arguments.episodes} tasks: train longer before calibrating")
     best: tuple[tuple[int, float], Path, Calibrated] | None = None
-    for policy, normal in undisturbed.items():
+    finalists = [policy for policy in undisturbed if selection[policy.name]["none"]["successes"] == most]
+    for policy in finalists:
         entry = selection[policy.name]
-        if entry["none"]["successes"] < most:
-            continue
-        calibrated = calibrator.calibrate(policy, normal)
-        calibration = Calibration(tuple(calibrated.mean_errors), BETA, calibrated.gamma)
-        for kind in ("A", "B"):
-            entry[kind] = _tally(policy, kind, calibrator.run(policy, kind, calibration))
-        score = entry["A"]["successes"] + entry["B"]["successes"], -entry["none"]["mean_seconds"]
+        calibrated = calibrator.calibrate(policy, undisturbed[policy])
+        recoveries = 0
+        if len(finalists) > 1:
+            calibration = Calibration(tuple(calibrated.mean_errors), BETA, calibrated.gamma)
+            for kind in ("A", "B"):
+                entry[kind] = _tally(policy, kind, calibrator.run(policy, kind, calibration))
+                recoveries += entry[kind]["successes"]
+        score = recoveries, -entry["none"]["mean_seconds"]
         if best is None or score > best[0]:
             best = score, policy, calibrated
     assert best is not None

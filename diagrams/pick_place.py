@@ -89,6 +89,9 @@ def main(cli: PickPlaceArguments) -> int:
     encoder, policy = Encoder(cli.weights / "cae.safetensors"), Policy(cli.weights / f"{cli.rnn}.safetensors")
     detector = make_detector(cli.detector, policy, cli.weights)
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    for distraction in ("/Grid", "/Axes"):
+        meshcat.SetProperty(distraction, "visible", False)
+    meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
     try:
         rollout = Rollout(cli.world, encoder, policy, detector, meshcat=meshcat, video=cli.video)
     except ScenarioError:

@@ -33,7 +33,8 @@ class RecallOptions(TrainingOptions):
         learning_rate: of Adam, decays to final_rate by a cosine.
         final_rate: see learning_rate.
         checkpoint_every: updates between checkpoints.
-        augmentation: of the inputs, as in the network's training.
+        augmentation: of the inputs, as in the network's training, but with more and longer standstills before the loop is closed: to
+            recall the way that should have been gone is what gives a stopped arm away.
     """
 
     policy: tuple[Path, ...]
@@ -46,7 +47,9 @@ class RecallOptions(TrainingOptions):
     learning_rate: float = 2e-3
     final_rate: float = 2e-5
     checkpoint_every: int = 500
-    augmentation: Augmentation = field(default_factory=Augmentation)
+    augmentation: Augmentation = field(
+        default_factory=lambda: Augmentation(loop_probability=0.6, hold_probability=1.0, hold_ticks=24)
+    )
     accelerator: str = "cpu"  # a tick at a time on 16 sequences is no work for a GPU: its launches alone take longer
 
 

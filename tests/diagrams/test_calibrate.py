@@ -8,7 +8,7 @@ from untrained import save_untrained
 
 from diagrams import calibrate, workers
 from diagrams import rollout as rollout_module
-from diagrams.calibrate import CalibrateArguments
+from diagrams.calibrate import CalibrateArguments, threshold
 from diagrams.draws import SEED_BASE
 from diagrams.episode import Outcome
 from diagrams.scenario import ScenarioError, World
@@ -70,6 +70,22 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
     assert all(job.detection_only == (job.kind != "none" and g == calibrate.OFF) for _, job, g in asked)
     assert sorted({g for _, job, g in asked if job.kind != "none"}) == pytest.approx([gamma, calibrate.OFF])
     assert "5 of 6 tasks done" in capsys.readouterr().out
+
+
+def test_threshold_by_hand():
+    # Logarithms 1, 3 and 7, 11: means 2 and 9, deviations sqrt(2) and sqrt(8), so a third of the way, 7 / (3 sqrt(2)) deviations from either.
+    gamma, deviations = threshold(np.exp([1.0, 3.0]), np.exp([7.0, 11.0]))
+    assert np.log(gamma) == pytest.approx(2.0 + 7.0 / 3.0)
+    assert deviations == pytest.approx(7.0 / (3.0 * np.sqrt(2.0)))
+
+
+@pytest.mark.parametrize(
+    ("normal", "disturbed", "named"),
+    [([1.0], [9.0, 9.0], "two finished"), ([5.0, 6.0], [5.0, 5.5], "no larger errors")],
+)
+def test_no_threshold_where_nothing_tells_the_runs_apart(normal, disturbed, named):
+    with pytest.raises(ScenarioError, match=named):
+        threshold(np.array(normal), np.array(disturbed))
 
 
 def test_calibration_without_any_success_is_an_error(tmp_path, monkeypatch):
