@@ -14,6 +14,7 @@ from diagrams.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation
 from models.scaling import MinMaxScaling
 
 WAITING, PICKING, PLACING, PICKING_AGAIN = range(4)
+SETTLING = 8  # ticks after a recovery in which SwitchedController does not listen to the network
 # Where the can stands on the mat, seen from the camera; in the hand and on the shelf it is elsewhere. Columns and rows, pixels.
 MAT_COLUMNS, MAT_ROWS = slice(0, 56), slice(58, 112)
 
@@ -85,13 +86,16 @@ class FakePolicy:
         home = self.scaling.scale(self.initial_posture)
         posture, features = x[: self.posture_size], x[self.posture_size :]
         doing, tick, had_can = (int(v) for v in state[:3])
-        if doing == WAITING and features[0] > 0.5:  # it sees the world, not its own imagination
+        if doing == WAITING:
+            tick = tick + 1 if features[0] > 0.5 else 0  # it sees the world, not its own imagination
+        if doing == WAITING and tick > SETTLING:  # from then on it is heard
             closed = posture[-1] < home[-1] - 0.3
             if features[1] > 0.5:
                 doing = PICKING_AGAIN if had_can and PICKING_AGAIN in self._ways else PICKING
             elif closed:
                 doing, had_can = PLACING, 1
-            tick = 0
+            if doing != WAITING:
+                tick = 0
         if doing == WAITING:
             here, goal = np.append(home[:-1], posture[-1]), np.append(home[:-1], posture[-1])
         else:
@@ -99,7 +103,7 @@ class FakePolicy:
             here, goal = way[tick - 1] if tick else np.append(home[:-1], posture[-1]), way[tick]
             tick += 1
             if tick == len(way):
-                doing = WAITING
+                doing, tick = WAITING, 0
         residual = goal.copy()
         residual[:-1] += self.regulator_gain * (posture - home)[:-1]
         expected = np.concatenate((here, state[3 : -self.posture_size]))
