@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from diagrams.controllers import Calibration, make_window_detector
+from diagrams.controllers import Calibration, make_window_detector, never_fires
 from diagrams.draws import episode_seeds
 from diagrams.episode import Outcome
 from diagrams.rollout import Record
@@ -32,8 +32,6 @@ from diagrams.station import ARM_JOINTS
 from diagrams.workers import Job, run_jobs, stretches
 from models.weights import WeightsError
 from models.windows import METHODS, WINDOW, StoredDetector, leading_axes, posture_windows, save_detector, stored_as
-
-OFF = 1e12  # a gamma at which no detector fires
 
 
 @dataclass
@@ -136,8 +134,7 @@ def main(arguments: BaselinesArguments) -> int:
         counts = {kind: arguments.episodes if kind == "none" else arguments.disturbed for kind in DISTURBANCES}
         traces = _run(arguments, path, policy, counts, digest_trace)
         for method, detector in stored.items():
-            ones = Calibration((1.0,) * ARM_JOINTS, 1.0, OFF)
-            anomaly = make_window_detector(detector, policy, ones).anomaly
+            anomaly = make_window_detector(detector, policy, never_fires(ARM_JOINTS)).anomaly
             mean, gamma, peaks = calibrate(anomaly, traces, policy.initial_posture[:ARM_JOINTS])
             print(
                 f"{path.name}, {method}: normal errors peak at {np.median(peaks['normal']):.1f} times their mean (median), "
@@ -206,7 +203,7 @@ def _run(
     from tqdm import tqdm
 
     if calibration is None:
-        calibration = Calibration((1.0,) * (policy.horizon + 1), 1.0, OFF)
+        calibration = never_fires(policy.horizon + 1)
     seeds = episode_seeds(purpose, arguments.seed, max(counts.values()))
     jobs = [Job(seed, kind, policy.name) for kind, count in counts.items() for seed in seeds[:count]]
     done = run_jobs(

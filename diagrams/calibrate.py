@@ -18,14 +18,13 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from diagrams.controllers import Calibration, never_fires
 from diagrams.draws import episode_seeds
 from diagrams.scenario import ROOT, ScenarioError, World
-from diagrams.workers import Calibration, Job, Result, run_jobs
+from diagrams.workers import Job, Result, run_jobs
 from models.weights import WeightsError, load_policy, save_policy
 
 BETA = 30.0  # the paper's
-# The detector never fires: alpha stays 0.
-OFF = 1e12
 
 
 @dataclass
@@ -91,7 +90,7 @@ class Calibrator:
         network = Policy(policy)
         count = self.arguments.episodes if kind == "none" else self.arguments.disturbed
         jobs = [Job(seed, kind, network.name, detection_only) for seed in self._seeds[:count]]
-        calibration = calibration or Calibration((1.0,) * (network.horizon + 1), BETA, OFF)
+        calibration = calibration or never_fires(network.horizon + 1)
         runs = run_jobs(
             self.world, self.arguments.encoder, policy, jobs, workers=self.arguments.workers, calibration=calibration
         )

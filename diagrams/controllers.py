@@ -25,6 +25,14 @@ class Calibration:
     gamma: float
 
 
+OFF = 1e12  # a gamma at which no detector fires
+
+
+def never_fires(criteria: int) -> Calibration:
+    """The calibration of a detector with so many criteria that is switched off: alpha stays 0."""
+    return Calibration((1.0,) * criteria, 1.0, OFF)
+
+
 @dataclass(frozen=True)
 class Controller:
     """A policy file, a detector (one of DETECTORS; a baseline's file lies beside the policy), and a calibration instead of the files'."""

@@ -11,7 +11,7 @@ from untrained import save_untrained
 from diagrams import baselines, controllers
 from diagrams import rollout as rollout_module
 from diagrams.baselines import BaselinesArguments, Trace, best_gamma, calibrate, digest_trace, past_windows
-from diagrams.controllers import Calibration, Controller, make_detector, policy_name, stored_calibration
+from diagrams.controllers import OFF, Calibration, Controller, make_detector, policy_name, stored_calibration
 from diagrams.draws import SEED_BASE
 from diagrams.pick_place import parse
 from diagrams.scenario import ScenarioError, World
@@ -144,7 +144,7 @@ def test_nothing_is_tuned_on_evaluation_episodes(fitted):
     fits, traces, *trials = fitted
     assert {job.seed // 1_000_000 for job in fits[2]} == {3}
     assert {job.seed // 1_000_000 for job in traces[2]} == {1}
-    assert fits[1].gamma == traces[1].gamma == baselines.OFF
+    assert fits[1].gamma == traces[1].gamma == OFF
     assert [name for name, _, _ in trials] == ["knn"] * 3 + ["subspace"] * 3
 
 

@@ -9,10 +9,11 @@ from untrained import save_untrained
 from diagrams import calibrate, workers
 from diagrams import rollout as rollout_module
 from diagrams.calibrate import CalibrateArguments, threshold
+from diagrams.controllers import OFF, Calibration, Controller
 from diagrams.draws import SEED_BASE
 from diagrams.episode import Outcome
 from diagrams.scenario import ScenarioError, World
-from diagrams.workers import Calibration, Controller, Job, Result
+from diagrams.workers import Job, Result
 from models.weights import load_policy
 
 OUTCOME = Outcome(
@@ -42,7 +43,7 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
 
     def run_jobs(world, encoder, policy, jobs, *, workers, calibration):
         asked.extend((policy.stem, job, calibration.gamma) for job in jobs)
-        on = calibration.gamma != calibrate.OFF
+        on = calibration.gamma != OFF
         if on:
             assert calibration.mean_errors == pytest.approx(1e-4 * np.arange(1, 12))
         # Undisturbed, 4000 and 6000 fail once; disturbed, 6000 is the better one.
@@ -67,8 +68,8 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
     seeds = {job.seed for _, job, _ in asked}
     assert all(SEED_BASE["validation"] <= seed < SEED_BASE["evaluation"] for seed in seeds)
     # Only what cannot succeed without a detector is cut short; the rest is judged to its end.
-    assert all(job.detection_only == (job.kind != "none" and g == calibrate.OFF) for _, job, g in asked)
-    assert sorted({g for _, job, g in asked if job.kind != "none"}) == pytest.approx([gamma, calibrate.OFF])
+    assert all(job.detection_only == (job.kind != "none" and g == OFF) for _, job, g in asked)
+    assert sorted({g for _, job, g in asked if job.kind != "none"}) == pytest.approx([gamma, OFF])
     assert "5 of 6 tasks done" in capsys.readouterr().out
 
 

@@ -8,12 +8,12 @@ import pytest
 from diagrams.return_certificate import (
     SAFETY_FACTOR,
     Lyapunov,
-    ReturnLoop,
     certify,
     holds,
     save_certificate,
     servo_level,
 )
+from diagrams.return_loop import ReturnLoop
 from diagrams.rollout import controller_limits
 
 PNG = b"\x89PNG\r\n\x1a\n"
