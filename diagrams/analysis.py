@@ -330,15 +330,19 @@ def run_falsify(item: Falsify) -> int:
     nominal = f.NominalRun.of(record, hand, rollout.station.spot(scene.vacant))
     builder = f.PushBuilder(world, scene, nominal)
     paths = item.weights / "cae.safetensors", item.weights / f"{item.rnn}.safetensors"
-    with f.Pool(world, *paths, scene, item.workers) as pool:
-        found = f.search_all(builder.disturbance, pool, item.trials, item.seed)
-    files, replayed = {}, {}
-    for name, trials in found.items():
-        for n, trial in enumerate(trials):
-            if trial.failure is None:
-                continue
-            file = files[name, n] = f"{name}-{n + 1}.yaml"
+    files: dict[tuple[str, int], str] = {}
+    counts = dict.fromkeys(f.SAMPLERS, 0)
+
+    def keep(name: str, trial: f.Trial) -> None:
+        """Counterexamples are on disk as they come: a search takes long."""
+        if trial.failure is not None:
+            file = files[name, counts[name]] = f"{name}-{counts[name] + 1}.yaml"
             save_scenario(item.out / file, f.scenario_of(world, scene, trial.disturbance))
+        counts[name] += 1
+
+    with f.Pool(world, *paths, scene, item.workers) as pool:
+        found = f.search_all(builder.disturbance, pool, item.trials, item.seed, on_trial=keep)
+    replayed = {}
     report = f.report(found, files, scene)
     # The smallest of each sampler again, from its file, in this process.
     for case in report["counterexamples"]:

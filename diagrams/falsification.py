@@ -267,10 +267,11 @@ def search_all(
     trials: int,
     seed: int,
     samplers: Iterable[str] = SAMPLERS,
+    on_trial: Callable[[str, Trial], object] = lambda name, trial: None,
 ) -> dict[str, list[Trial]]:
     """One search for each of `samplers`, each with `trials` of its own, at the same time (`run` is called from several threads).
 
-    Each search's course depends on its seed alone, not on the others'.
+    Each search's course depends on its seed alone, not on the others'. `on_trial` is called after each trial, one call at a time.
     """
     from tqdm import tqdm
 
@@ -282,11 +283,16 @@ def search_all(
             with lock:
                 return build(push)
 
+        def done(name: str, trial: Trial) -> None:
+            with lock:
+                bar.update()
+                on_trial(name, trial)
+
         def one(name: str) -> None:
             try:
                 # Seeds of their own: TPE begins as random search does.
                 sampler = make_sampler(name, len(SAMPLERS) * seed + SAMPLERS.index(name))
-                found[name] = search(sampler, guarded_build, run, trials, lambda _: bar.update())
+                found[name] = search(sampler, guarded_build, run, trials, lambda trial: done(name, trial))
             except Exception as error:
                 errors.append(error)
 
