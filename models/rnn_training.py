@@ -55,7 +55,7 @@ class RnnOptions(TrainingOptions):
     features: Path | None = None
     rnn: Literal["lstm", "gru", "mtrnn"] = "lstm"
     start_from: Path | None = None
-    steps: int = 12_000
+    steps: int = 10_000
     batch_size: int = 16
     posture_weight: float = 4.0
     start_weight: float = 3.0

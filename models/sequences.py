@@ -115,8 +115,8 @@ class Augmentation:
     closed_finger_probability: float = 0.2
     loop_probability: float = 0.4
     loop_to_end_probability: float = 0.6
-    hold_probability: float = 0.5
-    hold_ticks: int = 12
+    hold_probability: float = 0.8
+    hold_ticks: int = 24
     rest_ticks: int = 30
     carry_ticks: int = 9
 

@@ -96,7 +96,11 @@ def test_searches_have_the_same_budget_and_their_seed(tmp_path):
     found = f.search_all(fake_build, fake_run, 25, 3)
     assert {name: len(trials) for name, trials in found.items()} == {"tpe": 25, "cmaes": 25, "random": 25}
     assert all(trial.push.direction[0] <= 0.5 for trials in found.values() for trial in trials)
-    again = f.search_all(fake_build, fake_run, 25, 3, ("random", "tpe"))
+    seen = {"random": [], "tpe": []}
+    again = f.search_all(
+        fake_build, fake_run, 25, 3, ("random", "tpe"), on_trial=lambda name, trial: seen[name].append(trial)
+    )
+    assert seen == again
     assert again["tpe"] == found["tpe"]
     assert again["random"] == found["random"]
     files = {(n, k): f"{n}-{k}.yaml" for n, trials in found.items() for k, t in enumerate(trials) if t.failure}
