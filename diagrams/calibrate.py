@@ -3,8 +3,8 @@
     python diagrams/calibrate.py --candidates runs/lstm/policy-*.safetensors --out models/weights/lstm.safetensors
 
 1. Each candidate runs undisturbed validation episodes with the detector off; those that finish most go on.
-2. Mean errors, Eq. 5, are averages over those runs.
-3. gamma: as many standard deviations above the peaks of normal runs as below those of disturbed ones (see threshold), on validation episodes.
+2. The recall of each n is referred to an error that few of those runs reach (see reference): what lies farther back is recalled worse at times.
+3. gamma, times that: as many standard deviations above the peaks of normal runs as below those of disturbed ones (see threshold).
 4. If several go on, the one that finishes most disturbed validation episodes with its calibration (then: fastest undisturbed) is taken.
 Validation seeds are no evaluation's seeds (diagrams/draws.py).
 """
@@ -42,9 +42,10 @@ class CalibrateArguments:
 
 @dataclass
 class Calibrated:
-    """A candidate with its calibration; error ratios are l_n / mean l_n, the largest over n and ticks of a run."""
+    """A candidate with its calibration; error ratios are l_n / reference error, the largest over n and ticks of a run."""
 
-    mean_errors: np.ndarray  # (N + 1,) scaled units squared
+    mean_errors: np.ndarray  # (N + 1,) of the runs that ended in success, scaled units squared
+    reference_errors: np.ndarray  # (N + 1,) scaled units squared
     gamma: float
     normal_peaks: np.ndarray  # of the undisturbed runs that ended in success
     disturbed_peaks: dict[str, np.ndarray]  # by kind
@@ -69,6 +70,18 @@ def threshold(normal: np.ndarray, disturbed: np.ndarray) -> tuple[float, float]:
     deviations = (high.mean() - low.mean()) / spread if spread > 0.0 else np.inf
     share = low.std(ddof=1) / spread if spread > 0.0 else 0.5
     return float(np.exp(low.mean() + share * (high.mean() - low.mean()))), float(deviations)
+
+
+def reference(peaks: np.ndarray) -> np.ndarray:
+    """(N + 1,) what a run's largest l_n exceeds in 2 of 100 runs, by the logarithms of `peaks` (R, N + 1): mean + 2 standard deviations.
+
+    The paper refers l_n to its mean on normal runs. But far back the recall is poor for a few ticks of some runs: one gamma for all n must lie
+    above those, and misses stops that a small n tells. Raises ScenarioError for fewer than two runs.
+    """
+    if len(peaks) < 2:
+        raise ScenarioError("reference errors need two finished undisturbed episodes at least: raise their number")
+    logs = np.log(peaks)
+    return np.exp(logs.mean(axis=0) + 2.0 * logs.std(axis=0, ddof=1))
 
 
 class Calibrator:
@@ -98,24 +111,25 @@ class Calibrator:
         return sorted(results, key=lambda r: r.job.seed)
 
     def calibrate(self, policy: Path, normal: list[Result]) -> Calibrated:
-        """Mean errors and gamma of a candidate from its undisturbed runs and from disturbed ones, detector off."""
+        """Reference errors and gamma of a candidate from its undisturbed runs and from disturbed ones, detector off."""
         done = [r for r in normal if r.outcome.success]
         mean_errors = np.sum([r.squared_error_sum for r in done], axis=0) / sum(r.ticks for r in done)
-        peaks = np.array([np.max(r.peak_normal / mean_errors) for r in done])
+        reference_errors = reference(np.array([r.peak_normal for r in done]))
+        peaks = np.array([np.max(r.peak_normal / reference_errors) for r in done])
         print(
             f"{policy.name}: normal error ratios peak at {np.median(peaks):.1f} (median), {peaks.max():.1f} (largest)"
         )
         reached = {}
         for kind in ("A", "B"):
             found = [r.peak_disturbed for r in self.run(policy, kind, detection_only=True)]
-            ratios = reached[kind] = np.array([np.max(p / mean_errors) for p in found if p is not None])
+            ratios = reached[kind] = np.array([np.max(p / reference_errors) for p in found if p is not None])
             print(
                 f"  disturbance {kind}: ratios reach {np.sort(ratios)[:4].round(1)} (smallest), {np.median(ratios):.0f} (median)"
             )
         # The kind that is harder to notice decides.
-        gamma, deviations = min(threshold(peaks, ratios) for ratios in reached.values())
+        gamma, deviations = min((threshold(peaks, ratios) for ratios in reached.values()), key=lambda found: found[1])
         print(f"  beta {BETA}, gamma {gamma:.1f}: {deviations:.1f} standard deviations from either")
-        return Calibrated(mean_errors, gamma, peaks, reached)
+        return Calibrated(mean_errors, reference_errors, gamma, peaks, reached)
 
 
 def main(arguments: CalibrateArguments) -> int:
@@ -136,7 +150,7 @@ def main(arguments: CalibrateArguments) -> int:
         calibrated = calibrator.calibrate(policy, undisturbed[policy])
         recoveries = 0
         if len(finalists) > 1:
-            calibration = Calibration(tuple(calibrated.mean_errors), BETA, calibrated.gamma)
+            calibration = Calibration(tuple(calibrated.reference_errors), BETA, calibrated.gamma)
             for kind in ("A", "B"):
                 entry[kind] = _tally(policy, kind, calibrator.run(policy, kind, calibration))
                 recoveries += entry[kind]["successes"]
@@ -156,7 +170,14 @@ def main(arguments: CalibrateArguments) -> int:
     metadata = {**stored.metadata, "calibration": notes}
     save_policy(
         arguments.out,
-        replace(stored, mean_errors=calibrated.mean_errors, beta=BETA, gamma=calibrated.gamma, metadata=metadata),
+        replace(
+            stored,
+            mean_errors=calibrated.mean_errors,
+            reference_errors=calibrated.reference_errors,
+            beta=BETA,
+            gamma=calibrated.gamma,
+            metadata=metadata,
+        ),
     )
     print(f"{chosen.name} is taken; written: {arguments.out}")
     return 0

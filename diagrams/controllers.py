@@ -15,12 +15,12 @@ from systems.detector import RecallDetector
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a detector needs beside what was learned (Eqs. 5, 6): mean errors, one a criterion (N + 1 of the recall), beta, gamma.
+    """What a detector needs beside what was learned (Eqs. 5, 6): reference errors, one a criterion (N + 1 of the recall), beta, gamma.
 
-    The means are in the unit of the detector's errors; beta and gamma are dimensionless.
+    The references are in the unit of the detector's errors; beta and gamma are dimensionless.
     """
 
-    mean_errors: tuple[float, ...]
+    reference_errors: tuple[float, ...]
     beta: float
     gamma: float
 
@@ -47,20 +47,23 @@ def policy_name(rnn: str, training_seed: int = 0) -> str:
     return f"{rnn}-{training_seed}.safetensors" if training_seed else f"{rnn}.safetensors"
 
 
-def stored_calibration(detector: str, policy, folder: Path) -> Calibration:
-    """The calibration in the files in `folder`; `policy`: see models/inference.py.
+def stored_calibration(detector: str, policy, folder: Path, gamma: float | None = None) -> Calibration:
+    """The calibration in the files in `folder`; `policy`: see models/inference.py. With a `gamma`: the paper's rule (errors
+    referred to their means).
 
     Raises ScenarioError for a policy without, WeightsError for a baseline's file that is missing, damaged, or without one for this policy.
     """
     from models.windows import calibration_of, load_detector
 
     if detector == "recall":
-        if policy.mean_errors is None or policy.beta is None or policy.gamma is None:
+        if policy.reference_errors is None or policy.mean_errors is None or policy.beta is None or policy.gamma is None:
             raise ScenarioError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
-        return Calibration(tuple(policy.mean_errors), policy.beta, policy.gamma)
+        if gamma is not None:
+            return Calibration(tuple(policy.mean_errors), policy.beta, gamma)
+        return Calibration(tuple(policy.reference_errors), policy.beta, policy.gamma)
     path = folder / f"{detector}.safetensors"
     found = calibration_of(path, load_detector(path, detector), policy.hash)
-    return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"])
+    return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
 
 
 def make_detector(detector: str, policy, folder: Path, calibration: Calibration | None = None) -> System:
@@ -96,7 +99,7 @@ def _arguments(policy, calibration: Calibration) -> dict:
         "posture_size": policy.posture_size,
         "horizon": policy.horizon,
         "state_size": policy.state_size,
-        "mean_errors": np.array(calibration.mean_errors),
+        "reference_errors": np.array(calibration.reference_errors),
         "beta": calibration.beta,
         "gamma": calibration.gamma,
     }

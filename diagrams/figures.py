@@ -263,7 +263,7 @@ def main(arguments: FiguresArguments) -> int:
 
     curves, bounds = gamma_curves(rows) if rows is not None else ({}, {})
     if curves:
-        plots.save_gamma_curve(curves, bounds, policy.gamma, out / "gamma.png")
+        plots.save_gamma_curve(curves, bounds, out / "gamma.png")
         notes["gamma"] = curves
     else:
         print("no sweep with several values of --gamma: its curve is left out")

@@ -121,15 +121,13 @@ def save_states(
 def save_gamma_curve(
     curves: Mapping[str, Sequence[dict[str, Any]]],
     bounds: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    calibrated: float | None,
     path: Path,
 ) -> None:
-    """Switching success against gamma.
+    """Switching success against gamma, by the paper's rule: errors referred to their means.
 
     Args:
         curves: by a label, points with gamma, rate and interval, from episodes that were run with that gamma.
         bounds: by the same labels, gammas and the share of episodes with no false alarm and, if disturbed, noticed.
-        calibrated: the gamma of the weight file.
     """
     figure, axis = plt.subplots(figsize=(6.5, 4), layout="constrained")
     for n, (label, points) in enumerate(curves.items()):
@@ -139,10 +137,8 @@ def save_gamma_curve(
         axis.fill_between(gammas, low, high, color=f"C{n}", alpha=0.15, lw=0)
         if label in bounds:
             axis.plot(bounds[label][0], 100 * bounds[label][1], color=f"C{n}", lw=0.8, ls=":")
-    for gamma, text in ((PAPER_GAMMA, "the paper's 3"), (calibrated, "calibrated")):
-        if gamma is not None:
-            axis.axvline(gamma, color="0.5", lw=0.8, ls="--")
-            axis.text(gamma, 1.01, text, fontsize=7, ha="center", transform=axis.get_xaxis_transform())
+    axis.axvline(PAPER_GAMMA, color="0.5", lw=0.8, ls="--")
+    axis.text(PAPER_GAMMA, 1.01, "the paper's 3", fontsize=7, ha="center", transform=axis.get_xaxis_transform())
     axis.set(xlabel=r"$\gamma$", ylabel="switching success (%)", xscale="log", ylim=(-3, 103))
     axis.legend(fontsize=7, frameon=False)
     _save(figure, path)

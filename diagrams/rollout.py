@@ -44,7 +44,7 @@ class Record:
     regulator_step: np.ndarray  # (n, 8) dm^L
     desired_posture: np.ndarray  # (n, 8) command
     alpha: np.ndarray  # (n,)
-    errors: np.ndarray  # (n, N + 1) l_n / mean l_n
+    errors: np.ndarray  # (n, N + 1) l_n / reference error
     hidden_state: np.ndarray  # (n, S)
     features: np.ndarray  # (n, 30)
     active: np.ndarray  # (n,) disturbance under way

@@ -45,7 +45,9 @@ class SweepArguments:
     detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.safetensors, 1 is lstm-1.safetensors
-    gamma: list[float] = field(default_factory=list)  # instead of the calibrated one (3 is the paper's)
+    gamma: list[float] = field(
+        default_factory=list
+    )  # by the paper's rule (errors referred to their means; there 3) instead of the calibrated one
     workers: int = os.cpu_count() or 1  # processes of this machine
     scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
     weights: Path = ROOT / "models" / "weights"  # folder of the trained networks
@@ -99,9 +101,9 @@ def plan(arguments: SweepArguments) -> tuple[list[Task], WeightFiles]:
         if policy.encoder_hash != encoder_hash:
             raise WeightsError(folder / name, f"was trained with another autoencoder than {ENCODER}", "Give that one")
         for detector, gamma in itertools.product(_unique(arguments.detector), gammas):
-            own = stored_calibration(detector, policy, folder)
+            own = stored_calibration(detector, policy, folder, gamma)
             detector_hash = None if detector == "recall" else file_hash(folder / f"{detector}.safetensors")
-            calibration = None if gamma is None else dataclasses.replace(own, gamma=gamma)
+            calibration = None if gamma is None else own
             controllers.append((rnn, training_seed, detector, gamma, policy.hash, detector_hash, calibration))
     files = WeightFiles({name: (folder / name).read_bytes() for name in names})
     seeds = episode_seeds("evaluation", arguments.seed, arguments.episodes)

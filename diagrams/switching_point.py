@@ -319,14 +319,14 @@ def analyse(world: World, stored: StoredPolicy, image: SubtaskImage, *, samples:
 
 def _alpha(stored: StoredPolicy, z: np.ndarray, size: int) -> float | None:
     """alpha of a network that rests at z, by Eqs. 5 and 6; None without recall heads or calibration."""
-    if stored.recall is None or stored.mean_errors is None or stored.beta is None or stored.gamma is None:
+    if stored.recall is None or stored.reference_errors is None or stored.beta is None or stored.gamma is None:
         return None
     with torch.no_grad():
         recalled = stored.recall(torch.from_numpy(z[None, :-size]).float())[0].double().numpy()
     # At rest the prediction is what the regulator pulls against (n = 0).
     pull = stored.regulator_gain * (z[-size:] - stored.scaling.scale(stored.initial_posture))
     offsets = np.vstack((pull, recalled - z[-size:]))
-    worst = float(np.max(np.average(offsets**2, axis=1, weights=COMPONENT_WEIGHTS) / stored.mean_errors))
+    worst = float(np.max(np.average(offsets**2, axis=1, weights=COMPONENT_WEIGHTS) / stored.reference_errors))
     return float(1.0 / (1.0 + np.exp(np.clip(-stored.beta * (worst - stored.gamma), -700.0, 700.0))))
 
 

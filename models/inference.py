@@ -132,7 +132,7 @@ class Policy:
         scaling: of the posture (8,).
         initial_posture: (8,) rad and m.
         regulator_gain: K per tick that the training assumed.
-        mean_errors: (N+1,), beta, gamma: None before calibration.
+        mean_errors, reference_errors: (N+1,), beta, gamma: None before calibration.
         encoder_hash: of the autoencoder file that it was trained with; hash: of this file.
         metadata: training options and whatever the calibration noted.
     """
@@ -153,7 +153,8 @@ class Policy:
         self.initial_state = np.zeros(self.state_size)
         self.scaling, self.initial_posture = stored.scaling, stored.initial_posture
         self.regulator_gain, self.encoder_hash = stored.regulator_gain, stored.encoder_hash
-        self.mean_errors, self.beta, self.gamma = stored.mean_errors, stored.beta, stored.gamma
+        self.mean_errors, self.reference_errors = stored.mean_errors, stored.reference_errors
+        self.beta, self.gamma = stored.beta, stored.gamma
         self.metadata = stored.metadata
 
     def step(self, x: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -47,9 +47,7 @@ class RecallOptions(TrainingOptions):
     learning_rate: float = 2e-3
     final_rate: float = 2e-5
     checkpoint_every: int = 500
-    augmentation: Augmentation = field(
-        default_factory=lambda: Augmentation(loop_probability=0.6, hold_probability=1.0)
-    )
+    augmentation: Augmentation = field(default_factory=lambda: Augmentation(loop_probability=0.6, hold_probability=1.0))
     accelerator: str = "cpu"  # a tick at a time on 16 sequences is no work for a GPU: its launches alone take longer
 
 

@@ -57,7 +57,7 @@ def file_hash(path: str | Path) -> str:
 
 @dataclass
 class StoredPolicy:
-    """What a policy file holds; postures in physical units (rad, m), mean_errors, beta, gamma None before calibration.
+    """What a policy file holds; postures in physical units (rad, m), what the calibration gives None before it.
 
     Attributes:
         rnn: the recurrent network.
@@ -66,7 +66,7 @@ class StoredPolicy:
         initial_posture: (8,).
         regulator_gain: K per tick, the same for each joint.
         encoder_hash: file hash of the autoencoder whose features it was trained on.
-        mean_errors: (N+1,) mean l_n of normal runs; beta, gamma: of the detector's sigmoid.
+        mean_errors: (N+1,) mean l_n of normal runs; reference_errors: (N+1,) what l_n is divided by; beta, gamma: of the detector's sigmoid.
         metadata: anything else, JSON-serialisable: training arguments, hash of the data set.
     """
 
@@ -77,6 +77,7 @@ class StoredPolicy:
     regulator_gain: float
     encoder_hash: str
     mean_errors: np.ndarray | None = None
+    reference_errors: np.ndarray | None = None
     beta: float | None = None
     gamma: float | None = None
     metadata: dict[str, Any] = field(default_factory=dict)
@@ -137,7 +138,8 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
         "upper": policy.scaling.upper.tolist(),
         "initial_posture": np.asarray(policy.initial_posture, float).tolist(),
         "regulator_gain": float(policy.regulator_gain),
-        "mean_errors": None if policy.mean_errors is None else np.asarray(policy.mean_errors, float).tolist(),
+        "mean_errors": _numbers(policy.mean_errors),
+        "reference_errors": _numbers(policy.reference_errors),
         "beta": policy.beta,
         "gamma": policy.gamma,
         "metadata": policy.metadata,
@@ -153,7 +155,6 @@ def load_policy(path: str | Path) -> StoredPolicy:
         recall = None
         if header["recall"] is not None:
             recall = RecallHeads(rnn.state_size, rnn.posture_size, **header["recall"])
-        mean_errors = header["mean_errors"]
         policy = StoredPolicy(
             rnn=rnn.eval(),
             recall=recall,
@@ -161,7 +162,8 @@ def load_policy(path: str | Path) -> StoredPolicy:
             initial_posture=np.array(header["initial_posture"], float),
             regulator_gain=float(header["regulator_gain"]),
             encoder_hash=header["encoder_hash"],
-            mean_errors=None if mean_errors is None else np.array(mean_errors),
+            mean_errors=_array(header["mean_errors"]),
+            reference_errors=_array(header.get("reference_errors")),
             beta=header["beta"],
             gamma=header["gamma"],
             metadata=header["metadata"],
@@ -172,6 +174,14 @@ def load_policy(path: str | Path) -> StoredPolicy:
     if recall is not None:
         _fill(path, recall.eval(), _part(tensors, "recall."))
     return policy
+
+
+def _numbers(vector: np.ndarray | None) -> list[float] | None:
+    return None if vector is None else np.asarray(vector, float).tolist()
+
+
+def _array(numbers: list[float] | None) -> np.ndarray | None:
+    return None if numbers is None else np.array(numbers)
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -7,8 +7,8 @@ A detector is any system with these ports, so that another one takes its place w
         recalled_postures: ((N + 1) M,) scaled m^R_k (predicted), then m^R_{k-1}, ..., m^R_{k-N} (recalled).
         hidden_state: (S,) c_k of the network.
     Outputs:
-        errors: (E,) what alpha comes from, one number a criterion (E is the detector's choice), each divided by its
-            mean over normal runs.
+        errors: (E,) what alpha comes from, one number a criterion (E is the detector's choice), each divided by what
+            is large for it on normal runs.
         alpha: (1,) in [0, 1]; 0 on the learned way, 1 off it.
 
 `declare_detector_inputs` declares the inputs; one that a detector doesn't need is left unread. A memory, if it needs
@@ -58,11 +58,12 @@ def check_detector(system: System, *, posture_size: int, horizon: int, state_siz
 @TemplateSystem.define("RecallDetector_")
 def RecallDetector_(T):
     class Impl(LeafSystem_[T]):
-        """alpha = max_n 1 / (1 + exp(-beta (l_n / mean_l_n - gamma))), n = 0 .. N, Eqs. 5 and 6.
+        """alpha = max_n 1 / (1 + exp(-beta (l_n / r_n - gamma))), n = 0 .. N, Eqs. 5 and 6.
 
         l_n is the squared error of the recalled against the measured posture at tick k - n, averaged over the
-        components; mean_l_n is its mean over normal runs. The ratio (dimensionless) is our reading of the equation:
-        with the difference in scaled units, beta = 30 leaves alpha near 0.5 for ever.
+        components; r_n, the reference error, says what is large for it on normal runs (the paper takes its mean). The
+        ratio (dimensionless) is our reading of the equation: with the difference in scaled units, beta = 30 leaves
+        alpha near 0.5 for ever.
 
         .. pydrake_system::
 
@@ -75,10 +76,10 @@ def RecallDetector_(T):
             - errors
             - alpha
 
-        Ports: see the module's docstring; errors (N + 1,): l_n / mean_l_n; `hidden_state` is left unread.
+        Ports: see the module's docstring; errors (N + 1,): l_n / r_n; `hidden_state` is left unread.
         Direct feedthrough of both postures; scalar-convertible.
 
-        Constructor: keywords posture_size (M); horizon (N); state_size (S); mean_errors (N + 1,), mean_l_n > 0, scaled
+        Constructor: keywords posture_size (M); horizon (N); state_size (S); reference_errors (N + 1,), r_n > 0, scaled
         units squared; beta > 0; gamma; component_weights (M,) >= 0 of the components in the average (default: ones).
         """
 
@@ -88,7 +89,7 @@ def RecallDetector_(T):
             posture_size: int,
             horizon: int,
             state_size: int,
-            mean_errors: np.ndarray,
+            reference_errors: np.ndarray,
             beta: float,
             gamma: float,
             component_weights: np.ndarray | None = None,
@@ -98,10 +99,10 @@ def RecallDetector_(T):
             posture_history, recalled, _ = declare_detector_inputs(
                 self, posture_size=posture_size, horizon=horizon, state_size=state_size
             )
-            mean_errors = require_vector("mean_errors", mean_errors, horizon + 1, minimum=0.0)
-            if np.any(mean_errors == 0.0):
+            reference_errors = require_vector("reference_errors", reference_errors, horizon + 1, minimum=0.0)
+            if np.any(reference_errors == 0.0):
                 raise ValueError(
-                    f"mean_errors is {mean_errors}; every component must be greater than 0, errors are divided by "
+                    f"reference_errors is {reference_errors}; every component must be greater than 0, errors are divided by "
                     "them: calibrate on runs in which the arm moves."
                 )
             if component_weights is None:
@@ -113,13 +114,13 @@ def RecallDetector_(T):
                 posture_size=posture_size,
                 horizon=horizon,
                 state_size=state_size,
-                mean_errors=mean_errors,
+                reference_errors=reference_errors,
                 beta=require_positive("beta", beta),
                 gamma=float(require_vector("gamma", [gamma], 1)[0]),
                 component_weights=weights,
             )
             # errors = factors * squares summed over the components, one row a tick.
-            self._factors = weights / weights.sum() / mean_errors[:, None]
+            self._factors = weights / weights.sum() / reference_errors[:, None]
             self._shape = (horizon + 1, posture_size)
             self._beta, self._gamma = self._arguments["beta"], self._arguments["gamma"]
             self._posture_history, self._recalled = posture_history, recalled

@@ -207,16 +207,16 @@ def _check_gain(policy, gain: np.ndarray) -> None:
 
 def _make_detector(policy, sizes: dict, component_weights: np.ndarray | None) -> System:
     """Returns the RecallDetector with the policy's calibration."""
-    if any(getattr(policy, name) is None for name in ("mean_errors", "beta", "gamma")):
+    if any(getattr(policy, name) is None for name in ("reference_errors", "beta", "gamma")):
         raise ValueError(
-            "The policy has no calibration (mean_errors, beta, gamma), which the default detector needs: run the "
+            "The policy has no calibration (reference_errors, beta, gamma), which the default detector needs: run the "
             "calibration on its weight file, or pass a detector."
         )
     return RecallDetector(
         posture_size=sizes["posture_size"],
         horizon=sizes["horizon"],
         state_size=sizes["state_size"],
-        mean_errors=policy.mean_errors,
+        reference_errors=policy.reference_errors,
         beta=policy.beta,
         gamma=policy.gamma,
         component_weights=component_weights,

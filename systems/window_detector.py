@@ -9,7 +9,7 @@ from systems.validation import require_bounds, require_count, require_positive, 
 
 
 class WindowDetector(LeafSystem):
-    """alpha = max_j 1 / (1 + exp(-beta (a_j / mean_a_j - gamma))); a subclass says how anomalous a window is, a_j.
+    """alpha = max_j 1 / (1 + exp(-beta (a_j / r_j - gamma))); a subclass says how anomalous a window is, a_j.
 
     Ports: see systems/detector.py; errors (J,): a_j / mean_a_j. `recalled_postures` and `hidden_state` are left unread.
     Direct feedthrough of `posture_history`; no state.
@@ -25,7 +25,7 @@ class WindowDetector(LeafSystem):
         window: int,
         lower: np.ndarray,
         upper: np.ndarray,
-        mean_errors: np.ndarray,
+        reference_errors: np.ndarray,
         beta: float,
         gamma: float,
     ):
@@ -35,7 +35,7 @@ class WindowDetector(LeafSystem):
             joints: J, the first J components of the posture are judged.
             window: w, samples in a window; at most N + 1.
             lower, upper: (M,) bounds of the scaling of the port's postures, physical units: windows are judged in these.
-            mean_errors: (J,) mean a_j of normal runs, > 0, unit of a_j.
+            reference_errors: (J,) r_j, the mean of a_j on normal runs, > 0, unit of a_j.
             beta, gamma: of the sigmoid; beta > 0.
         """
         super().__init__()
@@ -49,10 +49,10 @@ class WindowDetector(LeafSystem):
                 "use a policy with a longer horizon."
             )
         lower, upper = require_bounds("lower", lower, "upper", upper, posture_size)
-        self._mean_errors = require_vector("mean_errors", mean_errors, joints, minimum=0.0)
-        if np.any(self._mean_errors == 0.0):
+        self._reference_errors = require_vector("reference_errors", reference_errors, joints, minimum=0.0)
+        if np.any(self._reference_errors == 0.0):
             raise ValueError(
-                f"mean_errors is {self._mean_errors}; every component must be greater than 0, errors are divided by "
+                f"reference_errors is {self._reference_errors}; every component must be greater than 0, errors are divided by "
                 "them: calibrate on runs in which the arm moves."
             )
         self._beta = require_positive("beta", beta)
@@ -69,9 +69,9 @@ class WindowDetector(LeafSystem):
         raise NotImplementedError
 
     def _calc_errors(self, context, output):
-        rows = self._history.Eval(context).reshape(self._shape)[: self._window, : len(self._mean_errors)]
+        rows = self._history.Eval(context).reshape(self._shape)[: self._window, : len(self._reference_errors)]
         windows = rows.T * self._half_range + self._centre
-        output.SetFromVector(self.anomaly(windows[:, None])[:, 0] / self._mean_errors)
+        output.SetFromVector(self.anomaly(windows[:, None])[:, 0] / self._reference_errors)
 
     def _calc_alpha(self, context, output):
         output[0] = maximum(sigmoid(self._beta * (self._errors.Eval(context) - self._gamma)))

@@ -132,7 +132,7 @@ def test_files_hold_what_was_chosen(folder, fitted):
         assert len(successes) == 3
         chosen = stored_calibration(method, policy, folder)
         assert chosen.gamma == notes["trials"][int(np.argmax(successes))]["gamma"]
-        assert (chosen.beta, len(chosen.mean_errors)) == (30.0, 7)
+        assert (chosen.beta, len(chosen.reference_errors)) == (30.0, 7)
         assert min(notes["peaks"]["A"]) > max(notes["peaks"]["normal"])
     assert sum(map(len, load_detector(folder / "knn.safetensors", "knn").runs)) == 5 * 60
 

@@ -8,7 +8,7 @@ from untrained import save_untrained
 
 from diagrams import calibrate, workers
 from diagrams import rollout as rollout_module
-from diagrams.calibrate import CalibrateArguments, threshold
+from diagrams.calibrate import CalibrateArguments, reference, threshold
 from diagrams.controllers import OFF, Calibration, Controller
 from diagrams.draws import SEED_BASE
 from diagrams.episode import Outcome
@@ -45,7 +45,7 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
         asked.extend((policy.stem, job, calibration.gamma) for job in jobs)
         on = calibration.gamma != OFF
         if on:
-            assert calibration.mean_errors == pytest.approx(1e-4 * np.arange(1, 12))
+            assert calibration.reference_errors == pytest.approx(20e-4 * np.arange(1, 12))
         # Undisturbed, 4000 and 6000 fail once; disturbed, 6000 is the better one.
         undisturbed, disturbed = {"policy-2000": (4, 0), "policy-4000": (1, 2), "policy-6000": (1, 1)}[policy.stem]
         for i, job in enumerate(jobs):
@@ -56,8 +56,9 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
     arguments = CalibrateArguments(candidates, out, folder / "cae.safetensors", episodes=6, disturbed=4)
     assert calibrate.main(arguments) == 0
     stored = load_policy(out)
-    gamma = np.sqrt(20.0 * 4000.0)
+    gamma = np.sqrt(1.0 * 200.0)  # all normal runs peak at 20 times the mean, the disturbed ones at 4000 times
     assert stored.mean_errors == pytest.approx(1e-4 * np.arange(1, 12))
+    assert stored.reference_errors == pytest.approx(20e-4 * np.arange(1, 12))
     assert stored.beta == 30.0
     assert stored.gamma == pytest.approx(gamma)
     notes = stored.metadata["calibration"]
@@ -71,6 +72,14 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
     assert all(job.detection_only == (job.kind != "none" and g == OFF) for _, job, g in asked)
     assert sorted({g for _, job, g in asked if job.kind != "none"}) == pytest.approx([gamma, OFF])
     assert "5 of 6 tasks done" in capsys.readouterr().out
+
+
+def test_reference_by_hand():
+    # Logarithms 1, 3: mean 2, deviation sqrt(2); and 5, 5.
+    found = reference(np.exp([[1.0, 5.0], [3.0, 5.0]]))
+    assert np.log(found) == pytest.approx([2.0 + 2.0 * np.sqrt(2.0), 5.0])
+    with pytest.raises(ScenarioError, match="two finished"):
+        reference(np.ones((1, 3)))
 
 
 def test_threshold_by_hand():

@@ -90,7 +90,7 @@ def test_gamma_curves_and_their_bounds(tmp_path):
     assert (gammas[0], gammas[-1]) == pytest.approx((10.0, 1000.0))
     # At 10: the third run is a false alarm, the fourth is not noticed; at 100 the third is fine; at 1000 the first alone is noticed.
     assert np.interp([10.0, 100.0, 1000.0], gammas, share) == pytest.approx([0.5, 0.75, 0.25])
-    plots.save_gamma_curve(curves, bounds, 43.0, tmp_path / "gamma.png")
+    plots.save_gamma_curve(curves, bounds, tmp_path / "gamma.png")
     assert is_png(tmp_path / "gamma.png")
     assert figures.gamma_curves(rows[rows["gamma"].isna()]) == ({}, {})
 

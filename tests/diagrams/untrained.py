@@ -26,6 +26,7 @@ def save_untrained(folder: Path, calibrated: bool = True, encoder_hash: str | No
         initial_posture=posture, regulator_gain=gain, metadata={"training": {"seed": 0}},
         encoder_hash=encoder_hash or file_hash(folder / "cae.safetensors"),
         mean_errors=np.full(11, 1e-9) if calibrated else None,
+        reference_errors=np.full(11, 1e-9) if calibrated else None,
         beta=30.0 if calibrated else None, gamma=10.0 if calibrated else None,
     )  # fmt: skip
     save_policy(folder / "lstm.safetensors", policy)

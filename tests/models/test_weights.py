@@ -48,6 +48,7 @@ def test_autoencoder_round_trip(tmp_path: Path, encoder_file: Path) -> None:
 def test_policy_round_trip(tmp_path: Path, name: str) -> None:
     policy = make_policy(name)
     policy.mean_errors, policy.beta, policy.gamma = np.linspace(0.1, 1.1, 11), 30.0, 60.0
+    policy.reference_errors = 2.0 * policy.mean_errors
     path = tmp_path / "p.safetensors"
     save_policy(path, policy)
     read = load_policy(path)
@@ -58,6 +59,7 @@ def test_policy_round_trip(tmp_path: Path, name: str) -> None:
     ):
         assert torch.equal(a.half().float() if a.ndim > 1 else a, b)
     np.testing.assert_array_equal(read.mean_errors, policy.mean_errors)
+    np.testing.assert_array_equal(read.reference_errors, policy.reference_errors)
     np.testing.assert_array_equal(read.scaling.upper, policy.scaling.upper)
     assert (read.beta, read.gamma, read.metadata, read.rnn.name) == (30.0, 60.0, policy.metadata, name)
 

@@ -53,7 +53,7 @@ class FakePolicy:
         self.scaling = FakeScaling(-2.0 * np.ones(self.posture_size), np.arange(1.0, self.posture_size + 1))
         self.initial_posture = np.linspace(-0.5, 0.5, self.posture_size)
         self.initial_state = np.tile(self.scaling.scale(self.initial_posture), horizon + 1)
-        self.mean_errors = np.full(horizon + 1, 1e-4)
+        self.reference_errors = np.full(horizon + 1, 1e-4)
         self.beta, self.gamma = 30.0, 60.0
         self.regulator_gain = gain
         self.drift, self.nonsense = drift, nonsense

@@ -25,7 +25,7 @@ history = build(PostureHistory, dict(posture_size=4, horizon=2, period=0.1, init
 closer = build(LoopCloser, dict(posture_size=4, feature_size=4))
 detector = build(
     RecallDetector,
-    dict(posture_size=4, horizon=2, state_size=12, mean_errors=np.ones(3), beta=30.0, gamma=60.0),
+    dict(posture_size=4, horizon=2, state_size=12, reference_errors=np.ones(3), beta=30.0, gamma=60.0),
 )
 regulator = build(
     make_posture_regulator, dict(posture_size=4, joints=3, initial_posture=ONES, Q=1.0, R=90.0, period=0.1)
@@ -42,7 +42,7 @@ def policy(period=0.1, **attributes):
 
 
 def controller(**arguments):
-    attributes = {n: arguments.pop(n) for n in ("regulator_gain", "mean_errors", "feature_size") if n in arguments}
+    attributes = {n: arguments.pop(n) for n in ("regulator_gain", "reference_errors", "feature_size") if n in arguments}
     fake = FakePolicy()
     for name, value in attributes.items():
         setattr(fake, name, value)
@@ -61,8 +61,8 @@ CASES = [
     (history, dict(initial_posture=np.full(4, np.nan)), "initial_posture is .*nan.*finite"),
     (closer, dict(posture_size=0), "posture_size is 0.*at least 1"),
     (closer, dict(feature_size=1.5), "feature_size is 1.5.*whole number"),
-    (detector, dict(mean_errors=np.zeros(3)), "mean_errors is .*greater than 0.*calibrate"),
-    (detector, dict(mean_errors=np.ones(2)), r"mean_errors has shape \(2,\).*\(3,\)"),
+    (detector, dict(reference_errors=np.zeros(3)), "reference_errors is .*greater than 0.*calibrate"),
+    (detector, dict(reference_errors=np.ones(2)), r"reference_errors has shape \(2,\).*\(3,\)"),
     (detector, dict(beta=-1.0), "beta is -1.0.*greater than 0"),
     (detector, dict(gamma=np.inf), "gamma is .*inf.*finite"),
     (detector, dict(component_weights=np.zeros(4)), "component_weights.*weight at least one"),
@@ -81,7 +81,7 @@ CASES = [
     (disturbance, dict(move_ticks=0), "move_ticks is 0.*at least 1"),
     (controller, dict(regulator_R=50.0), "LQR gain .*trained with 0.1 .*1e-4.*train again"),
     (controller, dict(regulator_gain=0.10002), "LQR gain"),
-    (controller, dict(mean_errors=None), "no calibration .*run the calibration"),
+    (controller, dict(reference_errors=None), "no calibration .*run the calibration"),
     (controller, dict(feature_size=5), "encoder gives 4 features, the policy takes 5"),
     (controller, dict(joint_lower=np.ones(3)), r"joint_lower has shape \(3,\).*\(4,\)"),
     (controller, dict(speed_limits=-ONES), "speed_limits.*at least 0"),

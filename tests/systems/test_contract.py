@@ -35,11 +35,13 @@ def regulator():
 
 
 def detector():
-    return RecallDetector(posture_size=M, horizon=N, state_size=12, mean_errors=np.ones(N + 1), beta=1.0, gamma=0.0)
+    return RecallDetector(
+        posture_size=M, horizon=N, state_size=12, reference_errors=np.ones(N + 1), beta=1.0, gamma=0.0
+    )
 
 
 def window_detector(cls, **fitted):
-    bounds = dict(lower=-np.ones(M), upper=np.ones(M), mean_errors=np.ones(3), beta=1.0, gamma=0.0)
+    bounds = dict(lower=-np.ones(M), upper=np.ones(M), reference_errors=np.ones(3), beta=1.0, gamma=0.0)
     return cls(posture_size=M, horizon=N, state_size=12, **bounds, **fitted)
 
 

@@ -16,7 +16,7 @@ INPUTS = dict(
 
 
 def detector(**changes):
-    arguments = dict(posture_size=2, horizon=1, state_size=3, mean_errors=[0.1, 0.01], beta=1.0, gamma=1.0)
+    arguments = dict(posture_size=2, horizon=1, state_size=3, reference_errors=[0.1, 0.01], beta=1.0, gamma=1.0)
     return RecallDetector(**(arguments | changes))
 
 

@@ -74,7 +74,7 @@ def reference(policy, arm, ticks, disturb, settling_ticks):
     K = np.diag([0.1] * (M - 1) + [0.0])
 
     def detect(recalled):
-        errors = np.mean((np.array(history) - recalled) ** 2, axis=1) / policy.mean_errors
+        errors = np.mean((np.array(history) - recalled) ** 2, axis=1) / policy.reference_errors
         return np.max(1.0 / (1.0 + np.exp(-np.clip(policy.beta * (errors - policy.gamma), -500.0, 500.0))))
 
     alpha = detect(np.vstack((prediction, policy.recall(state))))

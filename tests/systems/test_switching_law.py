@@ -77,7 +77,7 @@ class FarFromHome(LeafSystem):
 def test_another_detector_takes_the_place():
     policy = FakePolicy()
     detector = FarFromHome(posture_size=4, horizon=2, state_size=policy.state_size)
-    policy.mean_errors = None  # not needed then
+    policy.reference_errors = None  # not needed then
     controller = make_controller(policy=policy, detector=detector)
     context = controller.CreateDefaultContext()
     expected = abs(policy.scaling.scale(policy.initial_posture)[0])

@@ -20,7 +20,7 @@ WINDOWS = np.array([[[1.0, 1.0, 1.0], [1.3, 1.2, 1.0]], [[10.0, 10.0, 10.0], [10
 
 
 def knn(**changes):
-    arguments = dict(windows=WINDOWS, mean_errors=[0.05, 2.0], beta=2.0, gamma=1.5, **SIZES, **BOUNDS)
+    arguments = dict(windows=WINDOWS, reference_errors=[0.05, 2.0], beta=2.0, gamma=1.5, **SIZES, **BOUNDS)
     return KnnDetector(**(arguments | changes))
 
 
@@ -30,7 +30,7 @@ def constant_and_ramp():
 
 
 def subspace(**changes):
-    arguments = dict(axes=constant_and_ramp(), mean_errors=[1.0, 0.5], beta=2.0, gamma=1.5, **SIZES, **BOUNDS)
+    arguments = dict(axes=constant_and_ramp(), reference_errors=[1.0, 0.5], beta=2.0, gamma=1.5, **SIZES, **BOUNDS)
     return SubspaceDetector(**(arguments | changes))
 
 
@@ -68,7 +68,7 @@ def test_both_agree_with_scikit_learn():
     rng = np.random.default_rng(0)
     train, test = random_windows(rng, 300), random_windows(rng, 40)
     sizes = dict(
-        posture_size=2, horizon=10, state_size=1, lower=[0, 0], upper=[2, 2], mean_errors=[1, 1], beta=1, gamma=0
+        posture_size=2, horizon=10, state_size=1, lower=[0, 0], upper=[2, 2], reference_errors=[1, 1], beta=1, gamma=0
     )
     found = KnnDetector(windows=train, **sizes).anomaly(test)
     for joint in range(2):
@@ -107,8 +107,8 @@ def test_they_fit_a_controller(build):
         (knn, dict(windows=np.zeros((2, 1, 5))), "window is 5.*4 samples only"),
         (subspace, dict(axes=np.ones((2, 3, 2))), "not orthonormal"),
         (subspace, dict(axes=np.ones(3)), r"axes has shape \(3,\)"),
-        (subspace, dict(mean_errors=[1.0, 0.0]), "mean_errors is .*greater than 0.*calibrate"),
-        (knn, dict(mean_errors=[1.0]), r"mean_errors has shape \(1,\).*\(2,\)"),
+        (subspace, dict(reference_errors=[1.0, 0.0]), "reference_errors is .*greater than 0.*calibrate"),
+        (knn, dict(reference_errors=[1.0]), r"reference_errors has shape \(1,\).*\(2,\)"),
         (knn, dict(beta=0.0), "beta is 0.0.*greater than 0"),
         (knn, dict(gamma=np.nan), "gamma is .*nan.*finite"),
         (subspace, dict(lower=[0.0, 20.0, -1.0]), r"swap or widen component\(s\) \[1\]"),
