@@ -17,10 +17,8 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from diagrams.scenario import RNNS, ROOT, SPOTS, Scenario, ScenarioError, World, save_scenario
+from diagrams.scenario import RNNS, SPOTS, WEIGHTS, Scenario, ScenarioError, World, save_scenario
 from models.weights import WeightsError
-
-WEIGHTS = ROOT / "models" / "weights"
 
 
 @dataclass
@@ -143,13 +141,7 @@ def _networks(item: WithNetworks):
 def _rollout(item: WithNetworks, world: World):
     from diagrams.rollout import Rollout
 
-    encoder, policy = _networks(item)
-    try:
-        return Rollout(world, encoder, policy)
-    except ScenarioError:
-        raise
-    except ValueError as error:  # networks, camera and regulator that do not fit together
-        raise ScenarioError(f"the controller cannot be built: {error}") from error
+    return Rollout(world, *_networks(item))
 
 
 def run_modes(item: Modes) -> int:

@@ -27,7 +27,7 @@ from diagrams.controllers import Calibration, make_window_detector, never_fires
 from diagrams.draws import episode_seeds
 from diagrams.episode import Outcome
 from diagrams.rollout import Record
-from diagrams.scenario import DISTURBANCES, ROOT, ScenarioError, World
+from diagrams.scenario import DISTURBANCES, WEIGHTS, ScenarioError, World
 from diagrams.station import ARM_JOINTS
 from diagrams.workers import Job, run_jobs, stretches
 from models.weights import WeightsError
@@ -41,7 +41,7 @@ class BaselinesArguments:
     policies: list[Path]  # calibrated policy files, all in one folder
     data: Path | None = None  # demonstrations of diagrams/teach.py
     method: list[str] = field(default_factory=lambda: list(METHODS))  # knn, subspace
-    encoder: Path = ROOT / "models" / "weights" / "cae.safetensors"
+    encoder: Path = WEIGHTS / "cae.safetensors"
     fit_episodes: int = 50  # undisturbed runs of each network to fit from, without --data
     episodes: int = 12  # undisturbed validation episodes
     disturbed: int = 16  # validation episodes of each of A and B

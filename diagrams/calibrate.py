@@ -20,7 +20,7 @@ import tyro
 
 from diagrams.controllers import Calibration, never_fires
 from diagrams.draws import episode_seeds
-from diagrams.scenario import ROOT, ScenarioError, World
+from diagrams.scenario import WEIGHTS, ScenarioError, World
 from diagrams.workers import Job, Result, run_jobs
 from models.weights import WeightsError, load_policy, save_policy
 
@@ -33,7 +33,7 @@ class CalibrateArguments:
 
     candidates: list[Path]  # policy files with recall heads
     out: Path  # the calibrated copy of the best one
-    encoder: Path = ROOT / "models" / "weights" / "cae.safetensors"
+    encoder: Path = WEIGHTS / "cae.safetensors"
     episodes: int = 20  # undisturbed validation episodes a candidate
     disturbed: int = 24  # validation episodes of each of A and B
     seed: int = 0

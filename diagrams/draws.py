@@ -89,7 +89,14 @@ class EpisodeDraws:
         if scenario.disturbance == "none":
             return episode
         target = None if given.target is None else tuple(float(q) for q in given.target)
+        if target is not None and self._hand.margin(np.array(target)) < 0.0:
+            raise ScenarioError(
+                f"experimenter.target {given.target} rad is outside of the joint limits: "
+                f"choose from {self._hand.lower.round(2).tolist()} to {self._hand.upper.round(2).tolist()}"
+            )
         moved = None if given.can_moved_to is None else (float(given.can_moved_to[0]), float(given.can_moved_to[1]))
+        if moved is not None:
+            self.require_reachable(moved)
         draw = DisturbanceDraw(scenario.disturbance, given.subtask, given.level, target, given.hold_ticks, moved)
         return replace(episode, disturbance=draw)
 
@@ -111,11 +118,15 @@ class EpisodeDraws:
         """World x, y (m) inside the trained area (the trained positions' convex hull), 1.0 to 2.0 cm from the nearest trained position."""
         lower, upper = self._world.grid.bounds
         trained = self._world.grid.training_positions()
-        while True:
+        for _ in range(10_000):
             xy = rng.uniform(lower, upper)
             distance = np.linalg.norm(trained - xy, axis=1).min()
             if UNLEARNED[0] <= distance <= UNLEARNED[1] and self._trained_area.PointInSet(xy):
                 return float(xy[0]), float(xy[1])
+        raise ScenarioError(
+            f"no place of the trained area is {UNLEARNED[0]} to {UNLEARNED[1]} m from the trained positions: "
+            f"raise world.grid.spacing ({self._world.grid.spacing} m) or count ({self._world.grid.count})"
+        )
 
     def _disturbance(
         self, rng: np.random.Generator, kind: str, can_xy: tuple[float, float], vacant: str

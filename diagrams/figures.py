@@ -23,7 +23,7 @@ from diagrams.controllers import policy_name
 from diagrams.draws import EpisodeDraws, episode_seeds
 from diagrams.episode import Episode, Outcome
 from diagrams.rollout import Record, Rollout
-from diagrams.scenario import DISTURBANCES, RNNS, ROOT, ScenarioError, World
+from diagrams.scenario import DISTURBANCES, RNNS, WEIGHTS, ScenarioError, World
 from models.weights import WeightsError, load_autoencoder
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class FiguresArguments:
     rnn: str = "lstm"  # of Figs. 5 to 7
     training_seed: int = 0
     seed: int = 0  # of the episodes, without --sweep
-    weights: Path = ROOT / "models" / "weights"
+    weights: Path = WEIGHTS
 
 
 @dataclass

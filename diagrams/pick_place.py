@@ -8,6 +8,8 @@ Exit code 0: task done; 1: the task failed; 2: bad input.
 from __future__ import annotations
 
 import json
+import logging
+import math
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +17,7 @@ from typing import Annotated
 
 import tyro
 
-from diagrams.scenario import ROOT, Scenario, ScenarioError, load_scenario
-
-WEIGHTS = ROOT / "models" / "weights"
+from diagrams.scenario import WEIGHTS, Scenario, ScenarioError, load_scenario
 
 
 @dataclass
@@ -47,9 +47,9 @@ def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
         defaults = PickPlaceArguments(**{name: getattr(loaded, name) for name in Scenario.__dataclass_fields__})
         cli = tyro.cli(PickPlaceArguments, args=arguments, default=defaults)
     cli.check()
-    if cli.realtime_rate < 0:
+    if not 0.0 <= cli.realtime_rate < math.inf:
         raise ScenarioError(
-            f"the real-time rate {cli.realtime_rate} is negative: choose 0 (as fast as possible) or more"
+            f"the real-time rate {cli.realtime_rate} is negative or not finite: choose 0 (as fast as possible) or more"
         )
     return cli
 
@@ -71,7 +71,6 @@ def main(cli: PickPlaceArguments) -> int:
     from models.inference import Encoder, Policy
 
     torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-    # Before the episode, not after it.
     for path, formats in (
         (cli.graphviz, FORMATS),
         (cli.plot, PLOT_FORMATS),
@@ -82,22 +81,18 @@ def main(cli: PickPlaceArguments) -> int:
             raise ScenarioError(
                 f"{path.name} has no format that can be written: choose a name that ends in {', '.join(formats)}"
             )
-    for path in (cli.graphviz, cli.record, cli.plot, cli.video, cli.json, cli.log):
-        if path is not None:
-            _prepare(path)
     episode = EpisodeDraws(cli.world).episode(cli)
     encoder, policy = Encoder(cli.weights / "cae.safetensors"), Policy(cli.weights / f"{cli.rnn}.safetensors")
     detector = make_detector(cli.detector, policy, cli.weights)
+    logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    try:
-        rollout = Rollout(cli.world, encoder, policy, detector, meshcat=meshcat, video=cli.video)
-    except ScenarioError:
-        raise
-    except ValueError as error:  # networks, camera and regulator that do not fit together
-        raise ScenarioError(f"the controller cannot be built: {error}") from error
+    rollout = Rollout(cli.world, encoder, policy, detector, meshcat=meshcat, video=cli.video)
+    written = [path for path in (cli.record, cli.plot, cli.graphviz, cli.video, cli.json, cli.log) if path is not None]
+    for path in written:
+        _prepare(path)
     rollout.simulator.set_target_realtime_rate(cli.realtime_rate)
     if cli.meshcat:
         print(f"live view: {meshcat.web_url()}")
@@ -137,7 +132,6 @@ def main(cli: PickPlaceArguments) -> int:
     print(
         f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({outcome.realtime_factor:.1f} times real time)"
     )
-    written = [path for path in (cli.record, cli.plot, cli.graphviz, cli.video, cli.json, cli.log) if path is not None]
     print(f"written: {', '.join(str(path) for path in written)}")
     return 0 if outcome.success else 1
 
@@ -147,9 +141,10 @@ def _yes(value: bool) -> str:
 
 
 def _prepare(path: Path) -> None:
+    """Raises ScenarioError unless `path` can be written, before an episode is run for it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+        path.open("ab").close()  # touch() is content with a folder
     except OSError as error:
         raise ScenarioError(f"{path} cannot be written ({error.strerror}): choose another name") from error
 

@@ -23,7 +23,7 @@ from diagrams.episode import (
     TaskMonitor,
     tilt,
 )
-from diagrams.scenario import SPOTS, World
+from diagrams.scenario import SPOTS, ScenarioError, World
 from diagrams.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation
 from systems.disturbance import Disturbance
 from systems.switched_controller import SwitchedController
@@ -68,14 +68,14 @@ class Rollout:
 
     def __init__(self, world: World, encoder, policy, detector=None, meshcat=None, video: Path | None = None):
         """`encoder`, `policy`: see models/inference.py; `detector`: None for the recall of the policy; `meshcat`: to show the run in;
-        `video`: an .mp4 to write, finished by `self.video.Save()`."""
+        `video`: an .mp4 to write, finished by `self.video.Save()`. Raises ScenarioError for networks, camera and regulator that do not
+        fit together."""
         self.world, self.policy = world, policy
         builder = DiagramBuilder()
         self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None))
         lower, upper, speed = controller_limits(self.station)
-        self.controller = builder.AddNamedSystem(
-            "switched_controller",
-            SwitchedController(
+        try:
+            self.controller = SwitchedController(
                 encoder,
                 policy,
                 regulator_Q=world.regulator.state_weight,
@@ -88,8 +88,10 @@ class Rollout:
                 period=world.timing.period,
                 image_width=world.camera.width,
                 image_height=world.camera.height,
-            ),
-        )
+            )
+        except ValueError as error:  # networks, camera and regulator that do not fit together
+            raise ScenarioError(f"the controller cannot be built: {error}") from error
+        builder.AddNamedSystem("switched_controller", self.controller)
         self.disturbance = builder.AddNamedSystem(
             "disturbance", Disturbance(posture_size=policy.posture_size, period=world.timing.period)
         )

@@ -5,12 +5,16 @@ the arm, y to its left, z up).
 """
 
 # No `from __future__ import annotations` here: Drake reads the types of the fields.
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from systems.validation import require_count, require_positive, require_vector
+
 ROOT = Path(__file__).resolve().parent.parent
+WEIGHTS = ROOT / "models" / "weights"  # the repository's trained networks
 SPOTS = ("left", "right")
 
 
@@ -103,6 +107,40 @@ class World:
         """(8,) joint angles (rad) and open fingers (m)."""
         return np.append(np.deg2rad(self.initial_joints_deg), self.opening)
 
+    def check(self) -> None:
+        """Raises ScenarioError for a value that makes no world."""
+        timing, servo, camera, grid = self.timing, self.servo, self.camera, self.grid
+        try:
+            require_positive("world.timing.time_step", timing.time_step)
+            require_positive("world.timing.period", timing.period)
+            require_vector("world.servo.stiffness", servo.stiffness, 7, minimum=0.0)
+            require_vector("world.servo.damping", servo.damping, 7, minimum=0.0)
+            require_positive("world.servo.finger_stiffness", servo.finger_stiffness)
+            require_positive("world.servo.finger_damping", servo.finger_damping)
+            require_count("world.camera.width", camera.width, 112)
+            require_count("world.camera.height", camera.height, 112)
+            require_vector("world.grid.corner", grid.corner, 2)
+            require_positive("world.grid.spacing", grid.spacing)
+            require_count("world.grid.count", grid.count, 2)
+            require_positive("world.regulator.state_weight", self.regulator.state_weight)
+            require_positive("world.regulator.input_weight", self.regulator.input_weight)
+            require_vector("world.initial_joints_deg", self.initial_joints_deg, 7)
+        except ValueError as error:
+            raise ScenarioError(str(error)) from error
+        off = abs(math.remainder(timing.period, timing.time_step))
+        if timing.period < timing.time_step or off > 1e-6 * timing.time_step:
+            raise ScenarioError(
+                f"world.timing.period {timing.period} s is no multiple of time_step {timing.time_step} s: change one of them"
+            )
+        if not 0.0 < camera.field_of_view_deg < 180.0:
+            raise ScenarioError(
+                f"world.camera.field_of_view_deg {camera.field_of_view_deg} is no angle of view: choose more than 0, less than 180"
+            )
+        if not 0.0 <= self.closed_opening < self.opening < math.inf:
+            raise ScenarioError(
+                f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: choose 0 <= closed_opening < opening"
+            )
+
 
 RNNS = ("lstm", "gru", "mtrnn")
 DISTURBANCES = ("none", "A", "B")
@@ -144,10 +182,9 @@ class Experimenter:
             raise ScenarioError(
                 f"experimenter.target {self.target} does not fit disturbance {kind}: give {wanted} joint angles in rad"
             )
-        if self.can_moved_to is not None and len(self.can_moved_to) != 2:
-            raise ScenarioError(
-                f"experimenter.can_moved_to {self.can_moved_to} does not have two numbers: give x and y"
-            )
+        moved = self.can_moved_to
+        if moved is not None and (len(moved) != 2 or not np.all(np.isfinite(moved))):
+            raise ScenarioError(f"experimenter.can_moved_to {moved} is not two numbers: give x and y in metres")
 
 
 @dataclass
@@ -178,6 +215,7 @@ class Scenario:
         if self.can is not None and len(self.can) != 2:
             raise ScenarioError(f"the can's position {self.can} does not have two numbers: give x and y in metres")
         self.experimenter.check(self.disturbance)
+        self.world.check()
 
 
 def load_scenario(path: Path) -> Scenario:

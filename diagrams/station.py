@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 from pydrake.geometry import (
     ClippingRange,
@@ -61,6 +63,21 @@ def arm_plant() -> MultibodyPlant:
     return plant
 
 
+def _require_egl_device() -> None:
+    """Raises RuntimeError where EGL has no device to render on: Drake would notice at the first picture only, and die of it."""
+    try:
+        egl = ctypes.CDLL("libEGL.so.1")
+    except OSError:  # Drake looks under another name too, and raises where there is none
+        return
+    egl.eglGetProcAddress.restype = egl.eglGetDisplay.restype = ctypes.c_void_p
+    count = ctypes.c_int(0)
+    if address := egl.eglGetProcAddress(b"eglQueryDevicesEXT"):
+        query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(ctypes.c_int))(address)
+        query(0, None, ctypes.byref(count))
+    if not count.value and not egl.eglGetDisplay(None):
+        raise RuntimeError("no EGL device")
+
+
 class PickPlaceStation(Diagram):
     """The robot and its world.
 
@@ -77,12 +94,17 @@ class PickPlaceStation(Diagram):
         - plant_state
         - contact_results
         - query_object
+        - film_image
 
     - `desired_posture` (8): joint angles, rad, and gap of the fingers, m, that the servo tracks.
     - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m (the measured one stalls on the can).
-    - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels.
+    - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
     - `can_poses` (14): quaternion wxyz and position (m, world) of the can to pick, then of the one on the shelf.
     - `approach_distance` (1): see ApproachMeter. Truth: for scoring and disturbances, never for the controller.
+    - `plant_state` (n): positions, then velocities, of the whole plant in Drake's order; rad, m, rad/s, m/s; free bodies in the world frame.
+    - `contact_results`: Drake's ContactResults of the plant: points in m and forces in N, both in the world frame.
+    - `query_object`: Drake's QueryObject of the plant's scene graph, for pictures and for distances (m).
+    - `film_image`: RGBA image of a camera for people, `FILM` pixels; with film_camera=True only.
     """
 
     def __init__(self, world: World, camera: bool = True, film_camera: bool = False):
@@ -204,6 +226,7 @@ class PickPlaceStation(Diagram):
             LightParameter(type="directional", direction=[-0.10, 0.60, -0.80], intensity=0.55, frame="world"),
         ]
         try:
+            _require_egl_device()
             scene.AddRenderer(RENDERER, MakeRenderEngineVtk(params))
         except RuntimeError as error:
             raise ScenarioError(

@@ -22,7 +22,7 @@ import tyro
 
 from diagrams.controllers import policy_name, stored_calibration
 from diagrams.draws import SEED_BLOCKS, SEEDS_APART, episode_seeds
-from diagrams.scenario import DETECTORS, DISTURBANCES, RNNS, ROOT, ScenarioError
+from diagrams.scenario import DETECTORS, DISTURBANCES, RNNS, WEIGHTS, ScenarioError
 from models.weights import WeightsError
 
 try:
@@ -50,7 +50,7 @@ class SweepArguments:
     )  # by the paper's rule (errors referred to their means; there 3) instead of the calibrated one
     workers: int = os.cpu_count() or 1  # processes of this machine
     scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
-    weights: Path = ROOT / "models" / "weights"  # folder of the trained networks
+    weights: Path = WEIGHTS  # folder of the trained networks
     out: Path = Path("outputs/sweep")  # folder of episodes.parquet, summary.json and the parts
     log: bool = False  # keep the record of each episode that is run in OUT/records, for analysis.py modes
     retry_errors: bool = False  # run episodes that raised an error once more

@@ -117,13 +117,10 @@ class Teacher:
 _teacher: Teacher | None = None
 
 
-def _start_worker(world: World) -> None:
+def _give(world: World, lesson: Lesson) -> tuple[Lesson, dict]:
     global _teacher
-    _teacher = Teacher(world)
-
-
-def _give(lesson: Lesson) -> tuple[Lesson, dict]:
-    assert _teacher is not None
+    # With the first lesson, not by the pool's initializer, whose errors never reach the parent.
+    _teacher = _teacher or Teacher(world)
     return lesson, _teacher.give(lesson)
 
 
@@ -169,9 +166,16 @@ def main(arguments: TeachArguments) -> int:
     import h5py
     from tqdm import tqdm
 
+    for name, least in (("seed", 0), ("workers", 1), ("limit", 1)):
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            raise ScenarioError(f"--{name} {value} is too small: choose {least} or more")
+    try:
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"{arguments.out} cannot be written ({error.strerror}): choose another --out") from error
     world = World()
     todo = lessons(world, arguments.seed)[: arguments.limit]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     settings = json.dumps(
         {"world": dataclasses.asdict(world), "seed": arguments.seed, "layout": LAYOUT_VERSION}, sort_keys=True
     )
@@ -197,11 +201,9 @@ def main(arguments: TeachArguments) -> int:
         file.flush()  # from here on a killed run leaves a file that can be opened
         missing = [lesson for lesson in todo if f"demo_{lesson.index}" not in data]
         if missing:
-            spawn = multiprocessing.get_context("spawn")
-            with ProcessPoolExecutor(
-                arguments.workers, mp_context=spawn, initializer=_start_worker, initargs=(world,)
-            ) as pool:
-                futures = [pool.submit(_give, lesson) for lesson in missing]
+            pool = ProcessPoolExecutor(arguments.workers, mp_context=multiprocessing.get_context("spawn"))
+            try:
+                futures = [pool.submit(_give, world, lesson) for lesson in missing]
                 for future in tqdm(
                     as_completed(futures),
                     total=len(todo),
@@ -210,6 +212,8 @@ def main(arguments: TeachArguments) -> int:
                     desc="teaching",
                 ):
                     _write(file, *future.result())
+            finally:
+                pool.shutdown(cancel_futures=True)
         names = [f"demo_{lesson.index}" for lesson in todo]
         failed = [name for name in names if not data[name].attrs["success"]]
         if "mask" in file:

@@ -14,7 +14,7 @@ import numpy as np
 
 from diagrams.controllers import Calibration, Controller
 from diagrams.episode import DETECTION_TICKS, Outcome
-from diagrams.scenario import World
+from diagrams.scenario import ScenarioError, World
 
 if TYPE_CHECKING:
     from diagrams.rollout import Record, Rollout
@@ -103,13 +103,12 @@ def digest_errors(job: Job, outcome: Outcome, record: Record) -> Result:
 _worker: Worker | None = None
 
 
-def _start(world: World, encoder: Path) -> None:
+def _run(
+    world: World, encoder: Path, job: Job, controller: Controller, digest: Callable[[Job, Outcome, Record], Any]
+) -> Any:
     global _worker
-    _worker = Worker(world, encoder)
-
-
-def _run(job: Job, controller: Controller, digest: Callable[[Job, Outcome, Record], Any]) -> Any:
-    assert _worker is not None
+    # With the first job, not by the pool's initializer, whose errors never reach the parent.
+    _worker = _worker or Worker(world, encoder)
     return digest(job, *_worker.run(job, controller))
 
 
@@ -124,9 +123,16 @@ def run_jobs(
     detector: str = "recall",
     digest: Callable[[Job, Outcome, Record], Any] = digest_errors,
 ) -> Iterator[Any]:
-    """Runs `jobs` and yields `digest(job, outcome, record)` of each as it comes; `calibration` replaces the one in the files."""
-    spawn = multiprocessing.get_context("spawn")
+    """Runs `jobs` and yields `digest(job, outcome, record)` of each as it comes; `calibration` replaces the one in the files.
+
+    Raises what the first job that fails raises, WeightsError and ScenarioError among it, and begins no other.
+    """
+    if workers < 1:
+        raise ScenarioError(f"the number of workers {workers} is too small: choose 1 or more")
     controller = Controller(policy, detector, calibration)
-    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_start, initargs=(world, encoder)) as pool:
-        for future in as_completed([pool.submit(_run, job, controller, digest) for job in jobs]):
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        for future in as_completed([pool.submit(_run, world, encoder, job, controller, digest) for job in jobs]):
             yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -107,6 +107,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = tyro.cli(ProbeOptions, args=arguments, description=__doc__)
     try:
         result = probe(options)
+        if options.json is not None:
+            options.json.write_text(json.dumps(result, indent=2) + "\n")
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -115,8 +117,6 @@ def main(arguments: list[str] | None = None) -> int:
         f"largest {result['max_mm']:.1f} mm; vacant spot {100 * result['vacant_accuracy']:.1f} % right; "
         f"least std of a feature {result['least_feature_std']:.3f}"
     )
-    if options.json is not None:
-        options.json.write_text(json.dumps(result, indent=2) + "\n")
     return 0
 
 

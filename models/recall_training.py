@@ -59,15 +59,15 @@ def recall_targets(clean: Tensor, horizon: int) -> Tensor:
 
 
 class RecallModule(StepModule):
-    """Recall heads under training. The network is held outside of the module's parameters and never moves."""
+    """Recall heads under training. The network takes no gradient and never changes."""
 
     pool: Tensor
 
     def __init__(self, options: RecallOptions, train: SequencePack, policy: StoredPolicy, out: Path) -> None:
         super().__init__(options.steps, options.learning_rate, options.final_rate)
         self.options, self.pack, self.policy, self.out = options, train, policy, out
-        self.frozen = [policy.rnn.eval().requires_grad_(False)]  # in a list: not a sub-module
-        rnn = policy.rnn
+        # Not in eval mode, of which Lightning would warn; no layer of it differs there.
+        self.rnn = rnn = policy.rnn.train().requires_grad_(False)
         self.heads = RecallHeads(rnn.state_size, rnn.posture_size, options.horizon, options.hidden or None)
         self.initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
         self.register_buffer("pool", torch.zeros(256, rnn.state_size))
@@ -85,14 +85,13 @@ class RecallModule(StepModule):
     def training_step(self, data: Any, _: int) -> Tensor:
         """Eq. 4 on every valid tick, and on c_0, which recalls the first posture."""
         batch, start, end = data
-        rnn = self.frozen[0]
         with torch.no_grad():
-            states = run(rnn, batch, self.pool[start])[1]
+            states = run(self.rnn, batch, self.pool[start])[1]
             self.pool[end] = states[batch.carry, torch.arange(states.shape[1])]
         valid = batch.valid[: len(states)] > 0
         target = recall_targets(batch.clean[: len(states)], self.options.horizon)
         loss = (self.heads(states[valid]) - target[valid]).square().mean()
-        first = self.heads(rnn.initial_state(1)) - self.initial
+        first = self.heads(self.rnn.initial_state(1)) - self.initial.to(self.device)
         self.log("loss", loss.detach(), prog_bar=True)
         self.log("rms", loss.detach().sqrt(), prog_bar=True)
         return loss + 0.01 * first.square().mean()

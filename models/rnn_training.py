@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -11,14 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from models.dataset import Demonstration, iterate_frames, read_demonstrations, read_header
+from models.dataset import DatasetHeader, Demonstration, iterate_frames, read_demonstrations, read_header
 from models.inference import Encoder
 from models.rnn import make_rnn
 from models.scaling import MinMaxScaling
 from models.sequences import Augmentation, SequencePack, errors, make_batch, pack_sequences, run
 from models.training_setup import StepModule, TrainingOptions, fit, prepare, step_generator
 from models.validation import validate
-from models.weights import StoredPolicy, WeightsError, load_policy, save_policy
+from models.weights import StoredPolicy, WeightsError, file_hash, load_policy, save_policy
 
 JOINTS = 7
 
@@ -31,7 +32,8 @@ class RnnOptions(TrainingOptions):
         encoder: autoencoder file; the data set is encoded once.
         features: file in which the features are kept for other trainings; DIR/features.npz if not given.
         rnn: network of Table I.
-        start_from: candidate file whose weights and scaling are trained further, on this encoder's features.
+        start_from: candidate file whose weights and scaling are trained further, on this encoder's features; of the same network,
+            regulator gain and initial posture.
         steps: updates.
         batch_size: sequences an update; a sequence is one subtask.
         posture_weight: weight of the posture's against the features' mean square error.
@@ -155,7 +157,8 @@ class RnnModule(StepModule):
         self.log("state", state_loss.detach(), prog_bar=True)
         done = self.trainer.global_step + 1
         if done % options.validate_every == 0 or done == self.steps:
-            result = validate(self.rnn, self.valid_pack, self.initial, options.regulator_gain, JOINTS)
+            on_cpu = deepcopy(self.rnn).cpu()  # where its sequences are
+            result = validate(on_cpu, self.valid_pack, self.initial, options.regulator_gain, JOINTS)
             self.log_dict({f"valid_{name}": value for name, value in result.items()})
             self.print(f"\nupdate {done}: " + ", ".join(f"{name} {value:.4f}" for name, value in result.items()))
         return loss
@@ -185,11 +188,29 @@ def prepare_sequences(
     return packs[0], packs[1], scaling
 
 
+def load_start(path: Path, options: RnnOptions, header: DatasetHeader) -> StoredPolicy:
+    """The candidate to train further; raises WeightsError where its weights or its scaling were made for something else."""
+    started = load_policy(path)
+    for what, have, want in (
+        ("network", started.rnn.name, options.rnn),
+        ("regulator gain", started.regulator_gain, options.regulator_gain),
+        ("initial posture", started.initial_posture.round(6).tolist(), header.initial_posture.round(6).tolist()),
+    ):
+        if have != want:
+            raise WeightsError(path, f"has the {what} {have}, not {want}", "Give a candidate of that one")
+    return started
+
+
 def train_rnn(options: RnnOptions) -> Path:
     """Runs the training and returns the path of the last candidate."""
     prepare(options)
     header, encoder = read_header(options.data), Encoder(options.encoder)
-    started = None if options.start_from is None else load_policy(options.start_from)
+    metadata: dict[str, Any] = {"training": options.as_metadata(), "data_hash": header.content_hash}
+    started = None
+    if options.start_from is not None:
+        started = load_start(options.start_from, options, header)
+        ancestor = {"hash": file_hash(options.start_from), "encoder_hash": started.encoder_hash}
+        metadata["started_from"] = ancestor | started.metadata
     train, valid, scaling = prepare_sequences(
         options,
         encoder,
@@ -201,12 +222,6 @@ def train_rnn(options: RnnOptions) -> Path:
     )
     rnn = make_rnn(options.rnn, len(header.initial_posture), encoder.feature_size)
     if started is not None:
-        if started.rnn.name != options.rnn:
-            raise WeightsError(
-                str(options.start_from),
-                f"holds a network {started.rnn.name}, not {options.rnn}",
-                "Give a candidate of that network",
-            )
         rnn.load_state_dict(started.rnn.state_dict())
     policy = StoredPolicy(
         rnn,
@@ -215,7 +230,7 @@ def train_rnn(options: RnnOptions) -> Path:
         header.initial_posture,
         options.regulator_gain,
         encoder.hash,
-        metadata={"training": options.as_metadata(), "data_hash": header.content_hash},
+        metadata=metadata,
     )
     print(
         f"{len(train.length)} training and {len(valid.length)} validation sequences of "

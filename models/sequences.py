@@ -35,10 +35,6 @@ class SequencePack:
         """The sequences at index (B,)."""
         return SequencePack(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
-    def to(self, device: torch.device | str) -> SequencePack:
-        """The pack on another device."""
-        return SequencePack(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
-
 
 def pack_sequences(
     demos: list[Demonstration],

@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
     train: Any = {CaeOptions: train_cae, RnnOptions: train_rnn, RecallOptions: train_recall}[type(options)]
     try:
         train(options)
-    except (ValueError, FileNotFoundError) as error:
+    except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

@@ -80,17 +80,14 @@ class StepModule(lightning.LightningModule):
     def export(self, step: int, final: bool) -> None:
         """Writes weight files at a checkpoint."""
 
-    def trained_parameters(self) -> list[torch.nn.Parameter]:
-        """What the optimiser moves."""
-        return list(self.parameters())
-
     def train_dataloader(self) -> DataLoader:
         """Batches from the present update on."""
         return DataLoader(StepBatches(self.make_batch, self.trainer.global_step, self.steps), batch_size=None)
 
     def configure_optimizers(self) -> Any:
         """Adam (0.9, 0.999) with cosine decay, stepped every update."""
-        optimizer = torch.optim.Adam(self.trained_parameters(), self.learning_rate, (0.9, 0.999), fused=True)
+        parameters = [parameter for parameter in self.parameters() if parameter.requires_grad]
+        optimizer = torch.optim.Adam(parameters, self.learning_rate, (0.9, 0.999), fused=True)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(self.steps, 1), self.final_rate)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
@@ -127,7 +124,6 @@ def fit(
     name: str = "last",
 ) -> None:
     """Trains to module.steps, from DIR/NAME.ckpt if there is one; metrics go to DIR/logs."""
-    options.out.mkdir(parents=True, exist_ok=True)
     checkpoint = options.out / f"{name}.ckpt"
     callbacks: list[Callback] = [Checkpoint(checkpoint, checkpoint_every)]
     if options.progress:
@@ -162,7 +158,8 @@ def keep_freed_memory() -> None:
 
 
 def prepare(options: TrainingOptions) -> None:
-    """Threads, seed, and the quirks of Lightning that tell a user nothing."""
+    """The output folder, threads, seed, and the quirks of Lightning that tell a user nothing."""
+    options.out.mkdir(parents=True, exist_ok=True)
     keep_freed_memory()
     warnings.filterwarnings(
         "ignore",

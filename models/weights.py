@@ -20,7 +20,6 @@ from models.recall import RecallHeads
 from models.rnn import RecurrentNetwork, make_rnn
 from models.scaling import MinMaxScaling
 
-DEFAULT_DIRECTORY = Path(__file__).parent / "weights"
 FORMAT = 1
 QUANTISE_FROM = 200_000  # a matrix with more weights than that is stored in 8 bits
 _SCALE = ".row_scale"
@@ -30,7 +29,11 @@ class WeightsError(ValueError):
     """A weight file is missing, damaged, or of another kind than asked for."""
 
     def __init__(self, path: str | Path, wrong: str, remedy: str) -> None:
-        super().__init__(f"{path}: {wrong}. {remedy}")
+        super().__init__(path, wrong, remedy)  # as they came, or no worker process could send the error back
+
+    def __str__(self) -> str:
+        path, wrong, remedy = self.args
+        return f"{path}: {wrong}. {remedy}"
 
 
 _RETRAIN = "Take the file from the repository again (git checkout), or train it with `python -m models.training`"
@@ -49,10 +52,15 @@ def dequantise(weight: Tensor, scale: Tensor) -> Tensor:
 
 def file_hash(path: str | Path) -> str:
     """SHA-256 of the file, hexadecimal."""
-    if not Path(path).is_file():
-        raise WeightsError(path, "the weight file does not exist", _RETRAIN)
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError as error:
+        raise WeightsError(path, "the weight file does not exist", _RETRAIN) from error
+    except OSError as error:
+        raise WeightsError(
+            path, f"the weight file cannot be read ({error.strerror})", "Check its permissions"
+        ) from error
 
 
 @dataclass
@@ -106,16 +114,23 @@ def load_autoencoder(path: str | Path) -> tuple[ConvolutionalAutoencoder, dict[s
         name: dequantise(value, scales[name + _SCALE]) if value.dtype == torch.int8 else value.float()
         for name, value in tensors.items()
     }
-    model = ConvolutionalAutoencoder(header["feature_activation"])
+    try:
+        model, metadata = ConvolutionalAutoencoder(header["feature_activation"]), header["metadata"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(path, f"its metadata does not describe an autoencoder ({error})", _RETRAIN) from error
     _fill(path, model, state)
-    return model.eval(), header["metadata"]
+    return model.eval(), metadata
 
 
 def read_autoencoder(path: str | Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Tensors as stored (NAME int8 with NAME.row_scale) and the header; checks kind and completeness."""
     tensors, header = read_tensors(path, "autoencoder")
-    if any(value.dtype == torch.int8 and name + _SCALE not in tensors for name, value in tensors.items()):
-        raise WeightsError(path, "an 8-bit layer comes without its scale", _RETRAIN)
+    for name, value in tensors.items():
+        scale, in_8_bits = tensors.get(name + _SCALE), value.dtype == torch.int8
+        if in_8_bits and (scale is None or scale.shape != value.shape[:1]):
+            raise WeightsError(path, f"its 8-bit layer {name} comes without a scale for each row", _RETRAIN)
+        if not in_8_bits and value.ndim == 2 and value.numel() >= QUANTISE_FROM:
+            raise WeightsError(path, f"its large layer {name} is stored as {value.dtype}, not in 8 bits", _RETRAIN)
     return tensors, header
 
 
@@ -205,9 +220,9 @@ def read_tensors(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[s
         raise WeightsError(path, "the weight file does not exist", _RETRAIN)
     try:
         with safe_open(path, "pt") as file:
-            header = json.loads((file.metadata() or {}).get("header", "{}"))
+            header = dict(json.loads((file.metadata() or {}).get("header", "{}")))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, TypeError, ValueError) as error:
         raise WeightsError(path, f"the weight file is damaged ({error})", _RETRAIN) from error
     if header.get("format") != FORMAT or header.get("kind") != kind:
         raise WeightsError(

@@ -14,7 +14,7 @@ from diagrams.draws import SEED_BASE
 from diagrams.episode import Outcome
 from diagrams.scenario import ScenarioError, World
 from diagrams.workers import Job, Result
-from models.weights import load_policy
+from models.weights import WeightsError, load_policy
 
 OUTCOME = Outcome(
     seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True, placed=True,
@@ -106,6 +106,17 @@ def test_calibration_without_any_success_is_an_error(tmp_path, monkeypatch):
     )  # fmt: skip
     with pytest.raises(ScenarioError, match="train longer"):
         calibrate.main(CalibrateArguments([candidate], tmp_path / "out", folder / "cae.safetensors"))
+
+
+def test_an_error_of_a_process_is_the_program_s(tmp_path):
+    candidate = save_untrained(tmp_path / "weights") / "lstm.safetensors"
+    arguments = CalibrateArguments(
+        [candidate], tmp_path / "out", tmp_path / "nowhere", episodes=2, disturbed=2, workers=1
+    )
+    with pytest.raises(WeightsError, match="nowhere: the weight file does not exist"):
+        calibrate.main(arguments)
+    with pytest.raises(ScenarioError, match="number of workers 0 is too small"):
+        calibrate.main(replace(arguments, workers=0))
 
 
 def test_a_worker_runs_a_job_with_the_calibration_given(tmp_path, monkeypatch):

@@ -5,8 +5,8 @@ import pytest
 
 from diagrams.clearance import Clearance
 from diagrams.demonstration import GRASP_ABOVE_CENTRE, SUBTASK_STEPS, commands, subtask_waypoints
-from diagrams.draws import LIMIT_MARGIN, ONSET_LEVELS, SEED_BASE, STOP_TICKS, episode_seeds
-from diagrams.scenario import SPOTS, ScenarioError
+from diagrams.draws import LIMIT_MARGIN, ONSET_LEVELS, SEED_BASE, STOP_TICKS, EpisodeDraws, episode_seeds
+from diagrams.scenario import SPOTS, Grid, ScenarioError, World
 from diagrams.station import CAN_HALF_HEIGHT
 
 
@@ -29,6 +29,12 @@ def test_unlearned_positions_are_one_to_two_centimetres_from_a_trained_one(draws
     assert np.all((drawn >= lower) & (drawn <= upper))
     # All over the area.
     assert np.all(np.ptp(drawn, axis=0) > 0.9 * (upper - lower))
+
+
+@pytest.mark.parametrize("grid", [Grid(spacing=0.005), Grid(count=2)])
+def test_a_grid_without_unlearned_positions_is_named(grid):
+    with pytest.raises(ScenarioError, match=r"no place of the trained area .* raise world\.grid\.spacing"):
+        EpisodeDraws(World(grid=grid)).draw(0, "none")
 
 
 def test_same_seed_same_episode(draws, episodes):

@@ -154,11 +154,30 @@ def test_nothing_given_is_drawn(draws):
         ({"level": 0.1}, "A", "7 joint angles"),
         ({"level": 0.1, "hold_ticks": 9, "target": [0.0] * 7}, "B", "0 joint angles"),
         ({"level": 0.1, "hold_ticks": 9, "can_moved_to": [0.5]}, "B", "two numbers"),
+        ({"level": 0.1, "hold_ticks": 9, "can_moved_to": [0.5, float("nan")]}, "B", "two numbers"),
     ],
 )
 def test_what_is_no_disturbance_is_named(given, kind, named):
     with pytest.raises(ScenarioError, match=named):
         Scenario(disturbance=kind, experimenter=Experimenter(**given)).check()
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "named"),
+    [
+        (
+            {"target": [100.0, *[0.0] * 6]},
+            "A",
+            r"target \[100\.0, .* outside of the joint limits: choose from \[-2\.79",
+        ),
+        ({"hold_ticks": 9, "can_moved_to": [0.9, 0.0]}, "B", r"\(0\.900, 0\.000\) m is out of reach"),
+    ],
+)
+def test_what_the_arm_cannot_do_is_no_episode(draws, given, kind, named):
+    scenario = Scenario(disturbance=kind, experimenter=Experimenter(level=0.1, **given))
+    scenario.check()
+    with pytest.raises(ScenarioError, match=named):
+        draws.episode(scenario)
 
 
 def test_counterexample_replays_bit_by_bit(rollout, policy, world, draws, tmp_path, monkeypatch):

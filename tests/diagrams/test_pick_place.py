@@ -9,10 +9,9 @@ from untrained import save_untrained
 
 from diagrams import pick_place
 from diagrams.pick_place import parse
-from diagrams.scenario import RNNS, ROOT, ScenarioError
+from diagrams.scenario import RNNS, ROOT, WEIGHTS, ScenarioError
 
 PROGRAM = ROOT / "diagrams" / "pick_place.py"
-WEIGHTS = ROOT / "models" / "weights"
 # As the issue lists them.
 FIELDS = {
     "seed", "rnn", "detector", "disturbance", "can_xy", "vacant", "picked", "placed", "home", "success", "switched",
@@ -54,6 +53,7 @@ def untrained(tmp_path_factory):
         (("--graphviz", "diagram.gif"), ["diagram.gif", ".dot, .svg, .png"]),
         (("--plot", "timeline.doc"), ["timeline.doc", ".png, .svg, .pdf"]),
         (("--json", "/dev/null/outcome.json"), ["/dev/null/outcome.json cannot be written"]),
+        (("--record", ".."), [".. cannot be written (Is a directory)", "choose another name"]),
         (("--weights", "nowhere"), ["nowhere/cae.safetensors", "does not exist", "python -m models.training"]),
     ],
 )
@@ -89,6 +89,7 @@ def test_weights_that_do_not_fit_together_are_bad_input(tmp_path, monkeypatch, c
     folder = save_untrained(tmp_path / "weights", **changes)
     with pytest.raises(ScenarioError, match=named):
         pick_place.main(parse(["--weights", str(folder)]))
+    assert list(tmp_path.iterdir()) == [folder]  # no empty outputs
 
 
 def test_error_of_several_lines_becomes_one(capsys):
@@ -127,9 +128,10 @@ def test_every_option_of_the_issue_is_understood():
         assert parse(["--rnn", rnn]).rnn == rnn
 
 
-def test_a_negative_rate_is_refused():
-    with pytest.raises(ScenarioError, match=r"real-time rate -1\.0 is negative"):
-        parse(["--realtime-rate", "-1"])
+@pytest.mark.parametrize("rate", ["-1", "nan", "inf"])
+def test_a_rate_that_is_none_is_refused(rate):
+    with pytest.raises(ScenarioError, match=f"real-time rate {float(rate)} is negative or not finite"):
+        parse(["--realtime-rate", rate])
 
 
 def test_failed_task_has_code_1_and_a_whole_summary(tmp_path, untrained):

@@ -54,6 +54,36 @@ def test_choices_are_checked(change, named):
         Scenario(**change).check()
 
 
+@pytest.mark.parametrize(
+    ("part", "values", "named"),
+    [
+        ("timing", {"time_step": 0.0}, "world.timing.time_step is 0.0"),
+        ("timing", {"period": float("nan")}, "world.timing.period is nan"),
+        ("timing", {"period": 0.015}, "no multiple of time_step"),
+        ("timing", {"period": 0.001}, "no multiple of time_step"),
+        ("servo", {"stiffness": [1.0, 2.0]}, "world.servo.stiffness has shape"),
+        ("servo", {"damping": [-1.0] * 7}, "world.servo.damping is"),
+        ("servo", {"finger_stiffness": float("inf")}, "world.servo.finger_stiffness is inf"),
+        ("camera", {"width": 100}, "world.camera.width is 100"),
+        ("camera", {"height": 0}, "world.camera.height is 0"),
+        ("camera", {"field_of_view_deg": 180.0}, "no angle of view"),
+        ("grid", {"corner": [0.4]}, "world.grid.corner has shape"),
+        ("grid", {"corner": [0.4, float("inf")]}, "world.grid.corner is"),
+        ("grid", {"spacing": 0.0}, "world.grid.spacing is 0.0"),
+        ("grid", {"count": 1}, "world.grid.count is 1"),
+        ("regulator", {"input_weight": 0.0}, "world.regulator.input_weight is 0.0"),
+        (None, {"initial_joints_deg": [1.0]}, "world.initial_joints_deg has shape"),
+        (None, {"opening": 0.02}, "opening 0.02 m do not fit"),
+    ],
+)
+def test_what_is_no_world_is_named(part, values, named):
+    scenario = Scenario()
+    for name, value in values.items():
+        setattr(scenario.world if part is None else getattr(scenario.world, part), name, value)
+    with pytest.raises(ScenarioError, match=named):
+        scenario.check()
+
+
 def test_the_defaults_pass():
     Scenario().check()
 

@@ -1,6 +1,9 @@
 """The station: the arm against its public figures, the servo, the grip, the camera, the wiring."""
 
+import os
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -12,7 +15,7 @@ from station_runs import hand_to_can, picture, play, posture, red_pixels, start,
 
 from diagrams import station as station_module
 from diagrams.rollout import controller_limits
-from diagrams.scenario import SPOTS, Camera, ScenarioError, World
+from diagrams.scenario import ROOT, SPOTS, Camera, ScenarioError, World
 from diagrams.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation, arm_plant
 from systems.posture_history import PostureHistory
 
@@ -90,9 +93,11 @@ def test_limits_of_the_command_are_those_of_the_model(station):
     assert (lower[-1], upper[-1], speed[-1]) == (0.0, 0.08, 1.0)  # both fingers together
 
 
-def test_ports_are_those_of_the_docstring(station):
+def test_ports_are_those_of_the_docstring(world):
+    station = PickPlaceStation(world, film_camera=True)
     block = re.search(r"pydrake_system::(.*?)\n\n(?!\s+name:)", PickPlaceStation.__doc__, re.DOTALL).group(1)
     inputs, outputs = (re.findall(r"- (\w+)", part) for part in block.split("output_ports:"))
+    assert sorted(re.findall(r"^ *- `(\w+)`", PickPlaceStation.__doc__, re.MULTILINE)) == sorted(inputs + outputs)
     found = [station.get_output_port(i).get_name() for i in range(station.num_output_ports())]
     assert inputs == [station.get_input_port(i).get_name() for i in range(station.num_input_ports())]
     assert sorted(outputs) == sorted(found)
@@ -375,3 +380,18 @@ def test_no_egl_is_a_clear_error(world, monkeypatch):
     monkeypatch.setattr(station_module, "MakeRenderEngineVtk", fail)
     with pytest.raises(ScenarioError, match=r"EGL is not usable here .*libegl1 libgl1"):
         PickPlaceStation(world)
+
+
+def test_egl_without_a_device_is_a_clear_error():
+    """libEGL alone initialises, and the first picture would end the process."""
+    code = (
+        "from diagrams.scenario import World; from diagrams.station import PickPlaceStation; PickPlaceStation(World())"
+    )
+    environment = os.environ | {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent.json"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+    assert (
+        "ScenarioError: the camera cannot render without a display: EGL is not usable here (no EGL device)"
+        in done.stderr
+    )

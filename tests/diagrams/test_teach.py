@@ -25,13 +25,10 @@ TICKS = sum(SUBTASK_STEPS)
 class InlineExecutor:
     """ProcessPoolExecutor without processes."""
 
-    def __init__(self, workers, mp_context, initializer, initargs):
-        initializer(*initargs)
+    def __init__(self, workers, mp_context):
+        pass
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
+    def shutdown(self, cancel_futures):
         pass
 
     def submit(self, function, *arguments):
@@ -70,6 +67,7 @@ class FakeTeacher:
 def fake(monkeypatch):
     monkeypatch.setattr(teach, "ProcessPoolExecutor", InlineExecutor)
     monkeypatch.setattr(teach, "Teacher", FakeTeacher)
+    monkeypatch.setattr(teach, "_teacher", None)
 
 
 def stored_hash(path):
@@ -146,6 +144,26 @@ def test_a_broken_file_is_named(tmp_path):
     path.write_bytes(b"no HDF5")
     with pytest.raises(ScenarioError, match=r"broken\.h5 cannot be opened as HDF5"):
         teach.main(TeachArguments(path, limit=1))
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"seed": -1}, "--seed -1 is too small: choose 0 or more"),
+        ({"workers": 0}, "--workers 0 is too small: choose 1 or more"),
+        ({"limit": -1}, "--limit -1 is too small: choose 1 or more"),
+        ({"out": Path("/dev/null/y.h5")}, r"/dev/null/y\.h5 cannot be written"),
+    ],
+)
+def test_bad_input_is_named(tmp_path, changes, named):
+    with pytest.raises(ScenarioError, match=named):
+        teach.main(TeachArguments(**({"out": tmp_path / "y.h5"} | changes)))
+
+
+def test_an_error_of_a_process_is_the_program_s(tmp_path, monkeypatch):
+    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json")
+    with pytest.raises(ScenarioError, match="EGL is not usable here"):
+        teach.main(TeachArguments(tmp_path / "y.h5", workers=1, limit=2))
 
 
 def test_another_seed_is_refused(fake, tmp_path):

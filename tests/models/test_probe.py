@@ -34,3 +34,10 @@ def test_program_reports_and_writes_json(
 def test_missing_encoder_is_exit_code_2(data_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--data", str(data_file), "--encoder", "none.safetensors"]) == 2
     assert "none.safetensors: the weight file does not exist" in capsys.readouterr().err
+
+
+def test_json_that_cannot_be_written_is_exit_code_2(
+    tmp_path: Path, data_file: Path, encoder_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--data", str(data_file), "--encoder", str(encoder_file), "--json", str(tmp_path)]) == 2
+    assert "Is a directory" in capsys.readouterr().err

@@ -12,20 +12,24 @@ from conftest import make_policy
 from models.cae_training import CaeModule, CaeOptions, augment, load_frames, median_image
 from models.dataset import read_demonstrations
 from models.inference import Policy
-from models.recall_training import RecallOptions, train_recall
+from models.recall_training import RecallModule, RecallOptions, train_recall
+from models.rnn import RNNS
 from models.rnn_training import RnnOptions, posture_scaling, train_rnn
 from models.training import main
 from models.training_setup import fit, step_generator
-from models.weights import WeightsError, load_autoencoder, load_policy, save_policy
+from models.weights import WeightsError, file_hash, load_autoencoder, load_policy, save_policy
 
 
-@pytest.fixture(scope="module")
-def rnn_options(data_file: Path, encoder_file: Path, tmp_path_factory: pytest.TempPathFactory) -> RnnOptions:
+@pytest.fixture(scope="module", params=sorted(RNNS))
+def rnn_options(
+    request: pytest.FixtureRequest, data_file: Path, encoder_file: Path, tmp_path_factory: pytest.TempPathFactory
+) -> RnnOptions:
     return RnnOptions(
         data=data_file,
         encoder=encoder_file,
         out=tmp_path_factory.mktemp("rnn"),
-        rnn="mtrnn",
+        features=data_file.with_name("features.npz"),  # encoded once
+        rnn=request.param,
         steps=4,
         batch_size=4,
         checkpoint_every=2,
@@ -129,7 +133,7 @@ def test_rnn_writes_candidates_that_know_where_they_come_from(rnn_options: RnnOp
     assert candidate.name == "rnn-4.safetensors"
     assert (rnn_options.out / "rnn-2.safetensors").is_file()
     policy = load_policy(candidate)
-    assert policy.rnn.name == "mtrnn"
+    assert policy.rnn.name == rnn_options.rnn
     assert policy.recall is None
     assert policy.regulator_gain == 0.1
     assert policy.metadata["training"]["steps"] == 4
@@ -139,7 +143,6 @@ def test_rnn_writes_candidates_that_know_where_they_come_from(rnn_options: RnnOp
 
 def test_rnn_resumes_bit_for_bit(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
     short = replace(rnn_options, out=tmp_path)
-    shutil.copy(rnn_options.out / "features.npz", tmp_path / "features.npz")
     kept: list[bytes] = []
 
     def stop(self: object, step: int, final: bool) -> None:
@@ -157,12 +160,40 @@ def test_rnn_resumes_bit_for_bit(rnn_options: RnnOptions, candidate: Path, tmp_p
         assert torch.equal(a, b)
 
 
+def test_rnn_trained_further_knows_its_ancestor(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
+    further = replace(rnn_options, start_from=candidate, out=tmp_path, learning_rate=0.0, final_rate=0.0, steps=1)
+    ancestor, policy = load_policy(candidate), load_policy(train_rnn(further))
+    for a, b in zip(policy.rnn.parameters(), ancestor.rnn.parameters(), strict=True):
+        assert torch.equal(a, b)
+    origin = {"hash": file_hash(candidate), "encoder_hash": ancestor.encoder_hash}
+    assert policy.metadata["started_from"] == origin | ancestor.metadata
+    assert policy.metadata["training"]["steps"] == 1
+
+
+def test_rnn_is_not_trained_further_for_something_else(tmp_path: Path, data_file: Path, encoder_file: Path) -> None:
+    start = tmp_path / "rnn-1.safetensors"
+    save_policy(start, make_policy("gru", recall=False))
+    options = RnnOptions(
+        data=data_file, encoder=encoder_file, out=tmp_path, start_from=start, rnn="gru", progress=False
+    )
+    with pytest.raises(WeightsError, match="has the network gru, not lstm"):
+        train_rnn(replace(options, rnn="lstm"))
+    with pytest.raises(WeightsError, match=r"has the regulator gain 0\.1, not 0\.2"):
+        train_rnn(replace(options, regulator_gain=0.2))
+    elsewhere = make_policy("gru", recall=False)
+    elsewhere.initial_posture = elsewhere.initial_posture + 0.1
+    save_policy(start, elsewhere)
+    with pytest.raises(WeightsError, match="has the initial posture"):
+        train_rnn(options)
+
+
 def test_recall_training_moves_no_main_weight(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
     options = RecallOptions(
         data=rnn_options.data,
         out=tmp_path,
         policy=(candidate,),
         encoder=rnn_options.encoder,
+        features=rnn_options.features,
         steps=3,
         batch_size=4,
         progress=False,
@@ -171,10 +202,19 @@ def test_recall_training_moves_no_main_weight(rnn_options: RnnOptions, candidate
     assert path == tmp_path / "policy-4.safetensors"
     before, after = load_policy(candidate).rnn.state_dict(), load_policy(path).rnn.state_dict()
     assert all(torch.equal(before[name], after[name]) for name in before)
-    assert Policy(path).recall(np.zeros(100)).shape == (10, 8)
+    policy = Policy(path)
+    assert policy.recall(policy.initial_state).shape == (10, 8)
     written = path.stat().st_mtime_ns
     train_recall(options)
     assert path.stat().st_mtime_ns == written
+
+
+def test_frozen_network_goes_to_the_device_of_the_heads(data_file: Path, encoder_file: Path, tmp_path: Path) -> None:
+    options = RecallOptions(data=data_file, out=tmp_path, policy=(), encoder=encoder_file)
+    module = RecallModule(options, None, make_policy("gru", recall=False), tmp_path / "p").to("meta")
+    assert {parameter.device.type for parameter in module.rnn.parameters()} == {"meta"}
+    trained = module.configure_optimizers()["optimizer"].param_groups[0]["params"]
+    assert len(trained) == len(list(module.heads.parameters()))
 
 
 def test_recall_heads_learn(
@@ -189,6 +229,7 @@ def test_recall_heads_learn(
                 policy=(candidate,),
                 batch_size=4,
                 encoder=rnn_options.encoder,
+                features=rnn_options.features,
                 steps=steps,
                 progress=False,
             )
@@ -206,6 +247,7 @@ def test_recall_refuses_another_encoder(rnn_options: RnnOptions, tmp_path: Path)
                 out=tmp_path,
                 policy=(tmp_path / "rnn-1.safetensors",),
                 encoder=rnn_options.encoder,
+                features=rnn_options.features,
                 steps=1,
                 progress=False,
             )
@@ -225,3 +267,9 @@ def test_learning_rate_ends_at_a_hundredth(data_file: Path, tmp_path: Path) -> N
 def test_missing_data_is_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["cae", "--data", str(tmp_path / "none.h5"), "--out", str(tmp_path)]) == 2
     assert "none.h5: the data set does not exist" in capsys.readouterr().err
+
+
+def test_out_that_is_a_file_is_exit_code_2(data_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert main(["cae", "--data", str(data_file), "--out", str(tmp_path / "file")]) == 2
+    assert "File exists" in capsys.readouterr().err

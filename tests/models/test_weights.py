@@ -1,4 +1,5 @@
 import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,58 @@ def test_wrong_kind_missing_tensor_and_not_finite(tmp_path: Path) -> None:
     save_policy(path, policy)
     with pytest.raises(WeightsError, match="not finite"):
         load_policy(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"feature_activation": None}, "does not describe an autoencoder"),
+        ({"feature_activation": "sine"}, "does not describe an autoencoder .*sine"),
+        ({"feature_activation": []}, "does not describe an autoencoder"),
+        ({"metadata": None}, "does not describe an autoencoder .*metadata"),
+    ],
+)
+def test_damaged_header_of_an_autoencoder(tmp_path: Path, change: dict, named: str) -> None:
+    header = {"format": 1, "kind": "autoencoder", "feature_activation": "tanh", "metadata": {}} | change
+    header = {name: value for name, value in header.items() if value is not None}
+    save_file({"x": torch.zeros(1)}, tmp_path / "cae", {"header": json.dumps(header)})
+    with pytest.raises(WeightsError, match=named):
+        load_autoencoder(tmp_path / "cae")
+
+
+@pytest.mark.parametrize(
+    ("tensors", "named"),
+    [
+        ({"full": torch.zeros(500, 400)}, "large layer full is stored as torch.float32"),
+        ({"full": torch.zeros(500, 400, dtype=torch.int8)}, "without a scale for each row"),
+        (
+            {"full": torch.zeros(4, 3, dtype=torch.int8), "full.row_scale": torch.ones(3)},
+            "without a scale for each row",
+        ),
+    ],
+)
+def test_large_layers_come_in_8_bits_with_their_scales(tmp_path: Path, tensors: dict, named: str) -> None:
+    header = {"format": 1, "kind": "autoencoder", "feature_activation": "tanh", "metadata": {}}
+    save_file(tensors, tmp_path / "cae", {"header": json.dumps(header)})
+    with pytest.raises(WeightsError, match=named):
+        load_autoencoder(tmp_path / "cae")
+
+
+def test_header_that_is_no_dictionary(tmp_path: Path) -> None:
+    save_file({"x": torch.zeros(1)}, tmp_path / "p", {"header": "3"})
+    with pytest.raises(WeightsError, match="damaged"):
+        load_policy(tmp_path / "p")
+
+
+def test_a_folder_is_no_weight_file(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="cannot be read"):
+        file_hash(tmp_path)
+
+
+def test_error_comes_back_from_another_process() -> None:
+    error = WeightsError(Path("p"), "wrong", "Right it")
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again)) == (WeightsError, str(error)) == (WeightsError, "p: wrong. Right it")
 
 
 def test_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
