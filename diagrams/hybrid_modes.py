@@ -2,7 +2,7 @@
 
 Mode `task` (alpha < 1/2): the network moves the arm and sees it. Mode `return` (alpha >= 1/2): the LQR moves the arm, the network runs on its
 own predictions. The guard is alpha = 1/2. Crossing it back resets the network's input from what it imagined to what is measured: at the
-switching point the two should be the same. For a few ticks after that the arm is still left to the LQR (the settling ticks of AlphaMixer).
+switching point the two should be the same. For a tick after that the joints are still left to the LQR, and for a few the fingers stand (AlphaMixer).
 """
 
 from __future__ import annotations

@@ -13,10 +13,11 @@ def AlphaMixer_(T):
     class Impl(LeafSystem_[T]):
         """dm = (1 - alpha) dm^R + dm^L, Eq. 3, and the command m_k + dm within the limits of speed and position.
 
-        alpha in Eq. 3 is the largest of alpha_k, ..., alpha_{k-D}. A prediction made from what the network imagined
-        (Eqs. 7, 8 with alpha_{k-1} > 0) is no command, nor are those of the next few ticks, in which its state still
-        turns from what it imagined to what it sees: they would, for one, open fingers that hold something because the
-        network imagined having put it down. It is a dwell time of the switch back; the switch away does not wait.
+        alpha in Eq. 3 is the larger of alpha_k and alpha_{k-1} for the joints: a prediction made from what the network
+        imagined (Eqs. 7, 8 with alpha_{k-1} > 0) is no command. For the fingers it is the largest of alpha_k, ...,
+        alpha_{k-D}: for a few ticks more the network's state still turns from what it imagined to what it sees, and would
+        open fingers that hold something because it imagined having put it down. It is a dwell time of the switch back;
+        the switch away does not wait. The joints may not: the network sets out, and would not recall an arm that stands.
 
         .. pydrake_system::
 
@@ -47,7 +48,7 @@ def AlphaMixer_(T):
         Direct feedthrough; scalar-convertible.
 
         Constructor: keywords posture_size (M); lower, upper (M,), bounds of the command; max_step (M,) >= 0, largest
-        step a tick; settling_ticks (D) >= 1.
+        step a tick; settling_ticks (D) >= 1; joints (J) <= M, the first J components are joints, the others fingers.
         """
 
         def _construct(
@@ -58,10 +59,14 @@ def AlphaMixer_(T):
             upper: np.ndarray,
             max_step: np.ndarray,
             settling_ticks: int = 1,
+            joints: int = 0,
             converter=None,
         ):
             LeafSystem_[T].__init__(self, converter=converter)
             size = require_count("posture_size", posture_size)
+            self._joints = require_count("joints", joints, 0)
+            if joints > size:
+                raise ValueError(f"joints is {joints}, posture_size only {size}: pass a number up to that.")
             self._lower, self._upper = require_bounds("lower", lower, "upper", upper, size)
             self._max_step = require_vector("max_step", max_step, size, minimum=0.0)
             self._posture = self.DeclareVectorInputPort("posture", size)
@@ -89,11 +94,14 @@ def AlphaMixer_(T):
                 upper=other._upper,
                 max_step=other._max_step,
                 settling_ticks=other._last_alphas.size(),
+                joints=other._joints,
                 converter=converter,
             )
 
         def _step(self, context):
-            alpha = maximum(np.concatenate((self._alpha.Eval(context), self._last_alphas.Eval(context))))
+            alphas = np.concatenate((self._alpha.Eval(context), self._last_alphas.Eval(context)))
+            fingers = len(self._lower) - self._joints
+            alpha = np.array([maximum(alphas[:2])] * self._joints + [maximum(alphas)] * fingers)
             rnn_step = self._predicted.Eval(context) - self._posture.Eval(context)
             return (1.0 - alpha) * rnn_step + self._regulator_step.Eval(context)
 

@@ -85,7 +85,7 @@ class SwitchedController(Diagram):
             joint_lower, joint_upper: (M,) limits of the command, all components, physical units.
             speed_limits: (M,) largest speed of the command, physical units/s.
             period: T of the ticks, s.
-            settling_ticks: D, how many ticks after the last one under alpha the network waits for the arm; see
+            settling_ticks: D, how many ticks after the last one under alpha the network waits for the fingers; see
                 AlphaMixer.
             joints: J, the first J components are brought home; default M - 1, the last being the finger opening.
             image_width, image_height: of the image at the port, pixels.
@@ -138,6 +138,7 @@ class SwitchedController(Diagram):
                 upper=(joint_upper - middle) / half_range,
                 max_step=speed_limits * period / half_range,
                 settling_ticks=settling_ticks,
+                joints=joints,
             ),
         )
 

@@ -65,6 +65,7 @@ class SwitchingLaw(Diagram):
         upper: np.ndarray,
         max_step: np.ndarray,
         settling_ticks: int = 1,
+        joints: int = 0,
     ):
         """
         Args:
@@ -72,7 +73,7 @@ class SwitchingLaw(Diagram):
             detector: any system with the ports that systems/detector.py lists; becomes part of this Diagram.
             regulator: of `make_posture_regulator`, in scaled units; becomes part of this Diagram.
             lower, upper, max_step: (M,) limits of the command and of its step a tick, scaled; see AlphaMixer.
-            settling_ticks: D; see AlphaMixer.
+            settling_ticks: D; joints: J; see AlphaMixer.
         """
         super().__init__()
         check_detector(detector, posture_size=posture_size, horizon=horizon, state_size=state_size)
@@ -83,7 +84,12 @@ class SwitchingLaw(Diagram):
         mixer = builder.AddNamedSystem(
             "alpha_mixer",
             AlphaMixer(
-                posture_size=posture_size, lower=lower, upper=upper, max_step=max_step, settling_ticks=settling_ticks
+                posture_size=posture_size,
+                lower=lower,
+                upper=upper,
+                max_step=max_step,
+                settling_ticks=settling_ticks,
+                joints=joints,
             ),
         )
         alpha = detector.GetOutputPort("alpha")

@@ -73,6 +73,7 @@ CASES = [
     (regulator, dict(R=np.eye(2)), r"R is .*shape \(3, 3\)"),
     (mixer, dict(lower=ONES), r"lower is .*swap or widen component\(s\) \[0, 1, 2, 3\]"),
     (mixer, dict(max_step=-ONES), "max_step.*at least 0"),
+    (mixer, dict(joints=5), "joints is 5, posture_size only 4"),
     (disturbance, dict(kind="C"), "kind is 'C'.*none, A, B"),
     (disturbance, dict(kind="A"), "target_posture is None.*pass a posture"),
     (disturbance, dict(kind="A", target_posture=np.ones(3)), r"target_posture has shape \(3,\).*\(4,\)"),

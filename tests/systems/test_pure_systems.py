@@ -61,6 +61,17 @@ def test_a_prediction_from_imagination_or_soon_after_it_moves_nothing(ago):
     assert evaluate(MIXER, "rnn_step", inputs) == pytest.approx([0.1, 2.0, 0.2])
 
 
+def test_joints_do_not_wait_for_the_fingers():
+    mixer = AlphaMixer(
+        posture_size=3, lower=-np.ones(3), upper=np.ones(3), max_step=np.ones(3), settling_ticks=3, joints=2
+    )
+    inputs = MIXER_INPUTS | dict(posture=[0.5, 0.0, 0.5], predicted_posture=[0.6, 0.3, 0.7], alpha=[0.0])
+    assert evaluate(mixer, "step", inputs | dict(last_alphas=[0.0, 0.0, 1.0])) == pytest.approx([0.05, 0.3, 0.0])
+    assert evaluate(mixer, "step", inputs | dict(last_alphas=[0.5, 0.0, 0.0])) == pytest.approx([0.0, 0.15, 0.1])
+    converted = evaluate_symbolic(mixer, "step", inputs | dict(last_alphas=[0.0, 0.0, 1.0]))
+    assert converted == pytest.approx([0.05, 0.3, 0.0])
+
+
 def test_alpha_mixer_converts():
     value, gradient = evaluate_autodiff(MIXER, "desired_posture", MIXER_INPUTS, "alpha")
     assert value == pytest.approx(MIXED_POSTURE)

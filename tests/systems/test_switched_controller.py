@@ -64,7 +64,7 @@ def test_loop_closing_at_tick_k_uses_alpha_of_the_tick_before():
 
 
 def reference(policy, arm, ticks, disturb, settling_ticks):
-    """method.md's tick, in numpy, the network waiting for settling_ticks; returns commands and alphas (ticks, ...)."""
+    """method.md's tick, in numpy, the network waiting with the fingers for settling_ticks; returns commands and alphas (ticks, ...)."""
     lower, upper = policy.scaling.lower, policy.scaling.upper
     scale, unscale = policy.scaling.scale, lambda x: lower + (x + 1.0) * (upper - lower) / 2.0
     M, f = policy.posture_size, 0.2 * np.arange(1, 5) / 4
@@ -89,7 +89,8 @@ def reference(policy, arm, ticks, disturb, settling_ticks):
         history = [m, *history[:-1]]
         alpha = detect(recalled)
         seen.append(alpha)
-        arm = unscale(m + (1.0 - max(seen[-1 - settling_ticks :])) * (prediction - m) - K @ (m - initial))
+        held = np.array([max(seen[-2:])] * (M - 1) + [max(seen[-1 - settling_ticks :])])
+        arm = unscale(m + (1.0 - held) * (prediction - m) - K @ (m - initial))
         commands.append(arm)
         alphas.append(alpha)
     return np.array(commands), np.array(alphas)
@@ -148,10 +149,13 @@ def test_what_was_imagined_is_no_command():
     # It imagined 21 steps of 0.02; the arm stays where the LQR holds it.
     assert loop.output("predicted_posture") == pytest.approx(start + 21 * 0.02 * half_range)
     assert loop.output("desired_posture") == pytest.approx(start)
+    # From then on what it predicts moves the joints, two ticks later the fingers.
+    loop.after_tick(21)
+    assert loop.output("desired_posture") == pytest.approx(start + 0.02 * half_range * np.array([1, 1, 1, 0]))
     loop.after_tick(22)
-    assert loop.output("desired_posture") == pytest.approx(start)
+    assert loop.output("desired_posture")[-1] == pytest.approx(start[-1])
     loop.after_tick(23)
-    assert loop.output("desired_posture") == pytest.approx(start + 0.02 * half_range)
+    assert loop.output("desired_posture")[-1] == pytest.approx(start[-1] + 0.02 * half_range[-1])
 
 
 def test_outputs_are_physical_where_they_say_so():
