@@ -70,7 +70,7 @@ class GuardProbe:
         )
 
     def __call__(self, displacement: np.ndarray) -> tuple[float, float]:
-        """Largest alpha and largest error l_n / mean l_n over the ticks after a displacement (7, rad)."""
+        """Largest alpha and largest error l_n / r_n over the ticks after a displacement (7, rad)."""
         simulator, station = self._rollout.simulator, self._rollout.station
         simulator.reset_context(self._kept.Clone())
         context = simulator.get_mutable_context()
@@ -205,7 +205,7 @@ def save_guard(
     values = np.ma.masked_invalid(np.log10(np.maximum(grid.error, 1e-9) / gamma))
     reach = max(float(np.abs(values).max()) if values.count() else 1.0, 0.1)
     filled = axis.contourf(x, x, values, levels=np.linspace(-reach, reach, 25), cmap="RdBu_r")
-    figure.colorbar(filled, ax=axis, label=r"$\log_{10}\,\max_n (l_n/\bar{l}_n)\,/\,\gamma$")
+    figure.colorbar(filled, ax=axis, label=r"$\log_{10}\,\max_n (l_n/r_n)\,/\,\gamma$")
     if values.count() and values.min() < 0 < values.max():
         axis.contour(x, x, values, levels=[0.0], colors="k", linewidths=1.8)
     for mode, colour in (("task", BLUE), ("return", RED)):

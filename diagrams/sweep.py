@@ -45,9 +45,7 @@ class SweepArguments:
     detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.safetensors, 1 is lstm-1.safetensors
-    gamma: list[float] = field(
-        default_factory=list
-    )  # by the paper's rule (errors referred to their means; there 3) instead of the calibrated one
+    gamma: list[float] = field(default_factory=list)  # of the paper's rule (there 3, times mean errors), not calibrated
     workers: int = os.cpu_count() or 1  # processes of this machine
     scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
     weights: Path = WEIGHTS  # folder of the trained networks

@@ -40,7 +40,7 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
     fingers.set_ylim(0, 200)
     axes[0].legend(ncol=7, fontsize=7, loc="lower center", frameon=False)
     axes[3].semilogy(t, np.maximum(record.errors.max(axis=1), 1e-3), color="0.2", lw=1.0)
-    axes[3].set_ylabel(r"max $l_n / \bar{l}_n$")
+    axes[3].set_ylabel(r"max $l_n / r_n$")
     axes[4].plot(t, record.alpha, color="crimson", lw=1.4)
     axes[4].axhline(FALSE_ALARM, color="0.6", lw=0.6, ls="--")
     axes[4].set_ylim(-0.05, 1.05)

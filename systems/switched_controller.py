@@ -41,7 +41,7 @@ class SwitchedController(Diagram):
     Outputs (physical units; constant between ticks; only `features` has direct feedthrough, of the image):
         desired_posture: (M,) the command m_k + dm.
         alpha: (1,) alpha_k; the loop closing of tick k uses alpha_{k-1}.
-        errors: (E,) of the detector; RecallDetector's are l_n / mean_l_n, n = 0 .. N.
+        errors: (E,) of the detector; RecallDetector's are l_n / r_n, n = 0 .. N.
         hidden_state: (S,) c_k.
         predicted_posture: (M,) m^R_{k+1}.
         predicted_features: (F,) f^R_{k+1}, in [-1, 1].
