@@ -375,17 +375,20 @@ def _plain(trial: Trial) -> dict:
 
 
 def save_search(found: dict[str, list[Trial]], path: Path) -> None:
-    """The smallest counterexample so far over the trials of each sampler, and all trials by size and length."""
+    """The best objective so far over the trials of each sampler (below 1: a counterexample's magnitude), and all trials by size and length."""
     from diagrams.pictures_of_analysis import BLUE, GREEN, ORANGE, RED, new_figure, save
 
     figure, (left, right) = new_figure(1, 2, figsize=(12, 4.6))
     for (name, trials), colour in zip(found.items(), (BLUE, RED, GREEN), strict=False):
-        best = np.fmin.accumulate([t.push.magnitude if t.failure else np.nan for t in trials] or [np.nan])
+        best = np.fmin.accumulate([t.objective for t in trials] or [np.nan])
         left.step(np.arange(1, len(best) + 1), best, where="post", color=colour, label=name)
     left.set_xlim(0, max(map(len, found.values()), default=0) + 1)
     left.set_xlabel("trials")
-    left.set_ylabel("magnitude of the smallest counterexample")
-    left.set_ylim(0, 1)
+    left.axhline(1.0, color="0.5", lw=0.8, ls="--")
+    left.text(0.5, 0.98, "below: magnitude of a counterexample", fontsize=8, va="top")
+    left.text(0.5, 1.02, "above: 1 + margin to one", fontsize=8, va="bottom")
+    left.set_ylabel("best objective so far")
+    left.set_ylim(0, 2)
     left.legend()
     marks = {None: (".", "0.6"), "not detected": ("o", ORANGE), "not returned": ("s", RED), "not resumed": ("^", BLUE)}
     everything = [trial for trials in found.values() for trial in trials]

@@ -107,8 +107,10 @@ def test_ticks_are_aligned(undisturbed, policy, world):
 def test_command_of_a_tick_is_equation_3(undisturbed, moved_with_the_can, world):
     for run in (undisturbed, moved_with_the_can):
         record = run.record
-        padded = np.append(np.zeros(8), record.alpha)  # the network waits for eight ticks under a low alpha
-        alpha = np.lib.stride_tricks.sliding_window_view(padded, 9).max(axis=1)[:, None]
+        padded = np.append(np.zeros(8), record.alpha)
+        last = np.lib.stride_tricks.sliding_window_view(padded, 9)  # up to alpha_k
+        # The joints wait for one tick under a low alpha, the fingers for eight.
+        alpha = np.column_stack([last[:, -2:].max(axis=1)] * ARM_JOINTS + [last.max(axis=1)])
         mixed = record.posture + (1 - alpha) * record.rnn_step + record.regulator_step
         assert record.desired_posture == pytest.approx(mixed, abs=1e-9)
         pull = -0.1 * (record.posture - world.initial_posture)
