@@ -35,13 +35,14 @@ class GuardProbe:
         """
         self._rollout, self._ticks = rollout, ticks
         self._period = rollout.world.timing.period
+        # Half a plant step before a tick: later in the tick the servo would draw the arm back before its posture is sampled.
+        self._before = 0.5 * rollout.world.timing.time_step
         rollout.prepare(episode)
         station, simulator = rollout.station, rollout.simulator
         context = simulator.get_mutable_context()
         distance = station.GetOutputPort("approach_distance")
         for k in range(round(30.0 / self._period)):
-            # In the middle between two ticks: the displacement is seen by the update of the next one.
-            simulator.AdvanceTo((k + 0.5) * self._period)
+            simulator.AdvanceTo((k + 1) * self._period - self._before)
             if self._alpha(context) >= GUARD:
                 raise ScenarioError(
                     f"the run is in mode return {context.get_time():.1f} s after its start: choose another --seed"
@@ -79,7 +80,7 @@ class GuardProbe:
         alphas, errors = [], []
         errors_port = self._rollout.controller.GetOutputPort("errors")
         for k in range(1, self._ticks + 1):
-            simulator.AdvanceTo((self.tick + k + 0.5) * self._period)
+            simulator.AdvanceTo((self.tick + k + 1) * self._period - self._before)
             alphas.append(self._alpha(context))
             errors.append(np.max(errors_port.Eval(self._rollout.controller.GetMyContextFromRoot(context))))
         return max(alphas), float(max(errors))

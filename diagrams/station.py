@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 
 import numpy as np
 from pydrake.geometry import (
@@ -218,6 +219,9 @@ class PickPlaceStation(Diagram):
         poses = builder.AddNamedSystem("camera_scene_poses", MultibodyPositionToGeometryPose(self.scene_plant, True))
         builder.Connect(self.plant.get_state_output_port(), poses.get_input_port())
         builder.Connect(poses.get_output_port(), scene.get_source_pose_port(self.scene_plant.get_source_id()))
+        if not film_camera:
+            # In software, the calling thread draws a picture this small faster than it wakes others for it.
+            os.environ.setdefault("LP_NUM_THREADS", "0")
         params = RenderEngineVtkParams()
         params.default_clear_color = [0.78, 0.82, 0.86]
         params.backend = "EGL"

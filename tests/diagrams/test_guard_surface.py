@@ -86,6 +86,19 @@ def test_displacement_is_noticed_in_the_closed_loop(probe):
     assert probe(far)[0] > 0.99
 
 
+def test_the_controller_samples_the_arm_where_it_was_put(rollout, policy):
+    episode = Episode(0, (0.555, -0.041), "left")
+    policy.learn(episode)
+    probe = GuardProbe(rollout, episode, 0.25, 1)
+    displacement = np.deg2rad([12.0, -3.0, 0.0, 8.0, 0.0, 5.0, -9.0])
+    probe(displacement)
+    controller = rollout.controller
+    history = controller.GetOutputPort("posture_history").Eval(
+        controller.GetMyContextFromRoot(rollout.simulator.get_context())
+    )
+    assert policy.scaling.unscale(history[:8])[:7] == pytest.approx(probe.joints + displacement, abs=1e-9)
+
+
 def test_the_same_displacement_gives_the_same_bits(probe):
     displacement = np.deg2rad([0.4, 0, 0, 0.3, 0, 0, 0])
     first = probe(displacement)
