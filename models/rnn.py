@@ -9,7 +9,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from models.gru_loop import GruLoop
 from models.lstm_loop import LstmLoop
+from models.mtrnn_loop import MtrnnLoop
 
 
 class RecurrentNetwork(nn.Module, ABC):
@@ -113,6 +115,11 @@ class GRU(RecurrentNetwork):
         h = n + z * (state - n)
         return self.output(h), h
 
+    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """See RecurrentNetwork.forward; the state gets no gradient."""
+        parts = (self.from_input, self.from_hidden, self.output)
+        return GruLoop.apply(x, closed, state, *(p for part in parts for p in (part.weight, part.bias)))
+
 
 class MTRNN(RecurrentNetwork):
     """Multiple timescale RNN: u <- (1 - 1/tau) u + (1/tau)(weighted inputs), h = tanh(u); state [u_fast, u_slow].
@@ -144,6 +151,12 @@ class MTRNN(RecurrentNetwork):
         u_fast = torch.lerp(u_fast, self.to_fast(torch.cat((x, h), 1)), 1.0 / self.tau[0])
         u_slow = torch.lerp(u_slow, self.to_slow(h), 1.0 / self.tau[1])
         return self.output(torch.tanh(u_fast)), torch.cat((u_fast, u_slow), 1)
+
+    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """See RecurrentNetwork.forward; the state gets no gradient."""
+        rate = state.new_tensor([1.0 / tau for tau in self.tau]).repeat_interleave(state.new_tensor(self.sizes).long())
+        parts = (self.to_fast, self.to_slow, self.output)
+        return MtrnnLoop.apply(x, closed, state, rate, *(p for part in parts for p in (part.weight, part.bias)))
 
 
 RNNS: dict[str, Callable[[int, int], RecurrentNetwork]] = {cls.name: cls for cls in (LSTM, GRU, MTRNN)}

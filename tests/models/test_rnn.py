@@ -1,4 +1,5 @@
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -73,16 +74,26 @@ def test_unknown_network_is_named_with_the_known_ones() -> None:
     assert set(RNNS) == {"lstm", "gru", "mtrnn"}
 
 
-def test_lstm_s_written_out_loop_is_autograd_s() -> None:
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: LSTM(3, 4, units=5),
+        lambda: GRU(3, 4, units=5),
+        lambda: MTRNN(3, 4, fast=5, slow=2, tau_fast=1.5, tau_slow=4.0),
+    ],
+    ids=["lstm", "gru", "mtrnn"],
+)
+def test_written_out_loop_is_autograd_s(make: Callable[[], RecurrentNetwork]) -> None:
     torch.manual_seed(0)
-    rnn, x, state = LSTM(3, 4, units=5), torch.randn(12, 3, 7), 0.5 * torch.randn(3, 10)
+    rnn = make()
+    x, state = torch.randn(12, 3, 7), 0.5 * torch.randn(3, rnn.state_size)
     closed = torch.zeros(12, 3, 1, dtype=torch.bool)
     closed[3:8, 0] = closed[7:, 2] = True
     with torch.no_grad():
         rnn.output.weight *= 9.0  # so that some predictions are clipped, and some are not
-    weights = torch.randn(12, 3, 17)
+    weights = torch.randn(12, 3, 7 + rnn.state_size)
     results = []
-    for forward in (LSTM.forward, RecurrentNetwork.forward):
+    for forward in (type(rnn).forward, RecurrentNetwork.forward):
         rnn.zero_grad()
         y, states = forward(rnn, x, closed, state)
         (torch.cat((y, states), -1) * weights).sum().backward()

@@ -1,0 +1,97 @@
+"""The MTRNN's training loop over ticks, with its backward pass written out, for the reason that lstm_loop.py gives.
+
+Same numbers as MTRNN.step called in a loop: a test compares them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+class MtrnnLoop(torch.autograd.Function):
+    """x (T, B, n), closed (T, B, 1), u (B, S), 1/tau (S,), and the MTRNN's parameters to y (T, B, m) and states (T, B, S).
+
+    Both layers at once: u <- (1 - 1/tau) u + (1/tau)(W [x, tanh u] + b), with W = 0 from x to the slow layer, which comes
+    last. `to_fast` (F, n + S), `to_slow` (S - F, S), `output` (m, F). No gradients to x, u and 1/tau: they are data.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        x: Tensor,
+        closed: Tensor,
+        u: Tensor,
+        rate: Tensor,
+        to_fast: Tensor,
+        fast_bias: Tensor,
+        to_slow: Tensor,
+        slow_bias: Tensor,
+        output: Tensor,
+        output_bias: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """Ticks where any sequence is closed take its own clipped prediction as that sequence's input."""
+        ticks, batch, inputs = x.shape
+        fast, size = len(to_fast), u.shape[1]
+        by_x = rate[:fast, None] * to_fast[:, :inputs]
+        by_h = rate[:, None] * torch.cat((to_fast[:, inputs:], to_slow))
+        bias = rate * torch.cat((fast_bias, slow_bias))
+        from_x, from_h, to_y = by_x.t().contiguous(), by_h.t().contiguous(), output.t()
+        loops = closed.flatten(1).any(1).tolist()
+        loops[0] = False  # there is no prediction yet
+        x = x.clone()
+        pushed = bias.repeat(ticks, batch, 1)
+        pushed[..., :fast] += (x.view(-1, inputs) @ from_x).view(ticks, batch, fast)
+        y = x.new_empty(ticks, batch, len(output))
+        us, hs = x.new_empty(2, ticks + 1, batch, size)
+        us[0] = u
+        torch.tanh(u, out=hs[0])
+        keep = 1.0 - rate
+        for k in range(ticks):
+            if loops[k]:
+                torch.addmm(output_bias, hs[k, :, :fast], to_y, out=y[k - 1])
+                torch.where(closed[k], y[k - 1].clamp(-1.0, 1.0), x[k], out=x[k])
+                torch.addmm(bias[:fast], x[k], from_x, out=pushed[k, :, :fast])
+            torch.addcmul(pushed[k], keep, us[k], out=us[k + 1]).addmm_(hs[k], from_h)
+            torch.tanh(us[k + 1], out=hs[k + 1])
+        y.copy_((hs[1:, :, :fast].reshape(-1, fast) @ to_y + output_bias).view_as(y))
+        ctx.save_for_backward(x, closed, hs, y, rate, by_x, by_h, output)
+        ctx.loops = loops
+        return y, us[1:].clone()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, grad_y: Tensor, grad_states: Tensor) -> tuple[Tensor | None, ...]:
+        """Backpropagation through time."""
+        x, closed, hs, y, rate, by_x, by_h, output = ctx.saved_tensors
+        ticks, batch, inputs = x.shape
+        fast, size = len(by_x), len(by_h)
+        slope = 1.0 - hs[1:].square()
+        inside = closed[1:] & (y[:-1].abs() < 1.0)
+        keep = 1.0 - rate
+        grad_y = grad_y.clone()
+        grad_u = grad_states.clone()
+        grad_u[..., :fast] += (grad_y.view(-1, len(output)) @ output).view(ticks, batch, fast) * slope[..., :fast]
+        for k in range(ticks - 1, 0, -1):
+            back_h = grad_u[k] @ by_h
+            if ctx.loops[k]:
+                back = (grad_u[k, :, :fast] @ by_x).mul_(inside[k - 1])
+                grad_y[k - 1].add_(back)
+                back_h[:, :fast].addmm_(back, output)
+            grad_u[k - 1].addcmul_(keep, grad_u[k]).addcmul_(back_h, slope[k - 1])
+        flat, flat_y = (grad_u * rate).view(ticks * batch, -1), grad_y.view(ticks * batch, -1)
+        by_hidden, by_bias = flat.t() @ hs[:-1].reshape(-1, size), flat.sum(0)
+        return (
+            None,
+            None,
+            None,
+            None,
+            torch.cat((flat[:, :fast].t() @ x.view(-1, inputs), by_hidden[:fast]), 1),
+            by_bias[:fast],
+            by_hidden[fast:],
+            by_bias[fast:],
+            flat_y.t() @ hs[1:, :, :fast].reshape(-1, fast),
+            flat_y.sum(0),
+        )
