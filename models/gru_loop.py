@@ -43,17 +43,24 @@ class GruLoop(torch.autograd.Function):
         hs[0] = h
         gates = x.new_empty(ticks, batch, 2 * size)
         recalled, new = x.new_empty(2, ticks, batch, size)
+        # Lists of views: taking one out of a tensor at each tick would cost as much as the arithmetic on it.
+        by_tick = (x, closed, y, hs, seen, seen[..., : 2 * size], seen[..., 2 * size :], gates, recalled, new)
+        x_k, closed_k, y_k, h_k, seen_k, seen_gates_k, seen_new_k, gates_k, recalled_k, new_k = (
+            a.unbind(0) for a in by_tick
+        )
+        r_k, z_k = (a.unbind(0) for a in gates.split(size, 2))
+        held = x.new_empty(batch, 3 * size)
+        held_gates, held_new = held.split((2 * size, size), 1)
         for k in range(ticks):
             if loops[k]:
-                torch.addmm(output_bias, hs[k], to_y, out=y[k - 1])
-                torch.where(closed[k], y[k - 1].clamp(-1.0, 1.0), x[k], out=x[k])
-                torch.addmm(by_x_bias, x[k], from_x, out=seen[k])
-            held = torch.addmm(by_h_bias, hs[k], from_h)
-            torch.add(seen[k, :, : 2 * size], held[:, : 2 * size], out=gates[k]).sigmoid_()
-            r, z = gates[k].split(size, 1)
-            recalled[k] = held[:, 2 * size :]
-            torch.addcmul(seen[k, :, 2 * size :], r, recalled[k], out=new[k]).tanh_()
-            torch.lerp(new[k], hs[k], z, out=hs[k + 1])
+                torch.addmm(output_bias, h_k[k], to_y, out=y_k[k - 1])
+                torch.where(closed_k[k], y_k[k - 1].clamp(-1.0, 1.0), x_k[k], out=x_k[k])
+                torch.addmm(by_x_bias, x_k[k], from_x, out=seen_k[k])
+            torch.addmm(by_h_bias, h_k[k], from_h, out=held)
+            torch.add(seen_gates_k[k], held_gates, out=gates_k[k]).sigmoid_()
+            recalled_k[k].copy_(held_new)
+            torch.addcmul(seen_new_k[k], r_k[k], held_new, out=new_k[k]).tanh_()
+            torch.lerp(new_k[k], h_k[k], z_k[k], out=h_k[k + 1])
         torch.addmm(output_bias, hs[1:].view(-1, size), to_y, out=y.view(-1, len(output)))
         ctx.save_for_backward(x, closed, hs, gates, recalled, new, y, by_x, by_h, output)
         ctx.loops = loops
@@ -77,15 +84,20 @@ class GruLoop(torch.autograd.Function):
         grad_y = grad_y.clone()
         grad_h = (grad_y.view(-1, len(output)) @ output).view(ticks, batch, size) + grad_states
         grad_held = x.new_empty(ticks, batch, 3, size)
+        by_tick = (inside, grad_y, grad_h, z, to_seen, to_held, grad_held, grad_held.flatten(2))
+        inside_k, grad_y_k, grad_h_k, z_k, to_seen_k, to_held_k, grad_held_k, flat_held_k = (
+            a.unbind(0) for a in by_tick
+        )
         for k in range(ticks - 1, -1, -1):
-            torch.mul(grad_h[k][:, None], to_held[k], out=grad_held[k])
+            now = grad_h_k[k][:, None]
+            torch.mul(now, to_held_k[k], out=grad_held_k[k])
             if k == 0:
                 break
-            before = grad_h[k - 1]
-            before.addcmul_(grad_h[k], z[k]).addmm_(grad_held[k].view(batch, -1), by_h)
+            before = grad_h_k[k - 1]
+            before.addcmul_(grad_h_k[k], z_k[k]).addmm_(flat_held_k[k], by_h)
             if ctx.loops[k]:
-                back = ((grad_h[k][:, None] * to_seen[k]).view(batch, -1) @ by_x).mul_(inside[k - 1])
-                grad_y[k - 1].add_(back)
+                back = ((now * to_seen_k[k]).view(batch, -1) @ by_x).mul_(inside_k[k - 1])
+                grad_y_k[k - 1].add_(back)
                 before.addmm_(back, output)
         flat_seen = (grad_h[:, :, None] * to_seen).view(ticks * batch, -1)
         flat_held, flat_y = grad_held.view(ticks * batch, -1), grad_y.view(ticks * batch, -1)

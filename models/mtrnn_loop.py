@@ -49,13 +49,16 @@ class MtrnnLoop(torch.autograd.Function):
         us[0] = u
         torch.tanh(u, out=hs[0])
         keep = 1.0 - rate
+        # Lists of views: taking one out of a tensor at each tick would cost as much as the arithmetic on it.
+        by_tick = (x, closed, y, us, hs, hs[..., :fast], pushed, pushed[..., :fast])
+        x_k, closed_k, y_k, u_k, h_k, fast_h_k, pushed_k, fast_pushed_k = (a.unbind(0) for a in by_tick)
         for k in range(ticks):
             if loops[k]:
-                torch.addmm(output_bias, hs[k, :, :fast], to_y, out=y[k - 1])
-                torch.where(closed[k], y[k - 1].clamp(-1.0, 1.0), x[k], out=x[k])
-                torch.addmm(bias[:fast], x[k], from_x, out=pushed[k, :, :fast])
-            torch.addcmul(pushed[k], keep, us[k], out=us[k + 1]).addmm_(hs[k], from_h)
-            torch.tanh(us[k + 1], out=hs[k + 1])
+                torch.addmm(output_bias, fast_h_k[k], to_y, out=y_k[k - 1])
+                torch.where(closed_k[k], y_k[k - 1].clamp(-1.0, 1.0), x_k[k], out=x_k[k])
+                torch.addmm(bias[:fast], x_k[k], from_x, out=fast_pushed_k[k])
+            torch.addcmul(pushed_k[k], keep, u_k[k], out=u_k[k + 1]).addmm_(h_k[k], from_h)
+            torch.tanh(u_k[k + 1], out=h_k[k + 1])
         y.copy_((hs[1:, :, :fast].reshape(-1, fast) @ to_y + output_bias).view_as(y))
         ctx.save_for_backward(x, closed, hs, y, rate, by_x, by_h, output)
         ctx.loops = loops
@@ -74,13 +77,15 @@ class MtrnnLoop(torch.autograd.Function):
         grad_y = grad_y.clone()
         grad_u = grad_states.clone()
         grad_u[..., :fast] += (grad_y.view(-1, len(output)) @ output).view(ticks, batch, fast) * slope[..., :fast]
+        by_tick = (inside, grad_y, grad_u, grad_u[..., :fast], slope)
+        inside_k, grad_y_k, grad_u_k, fast_grad_k, slope_k = (a.unbind(0) for a in by_tick)
         for k in range(ticks - 1, 0, -1):
-            back_h = grad_u[k] @ by_h
+            back_h = grad_u_k[k] @ by_h
             if ctx.loops[k]:
-                back = (grad_u[k, :, :fast] @ by_x).mul_(inside[k - 1])
-                grad_y[k - 1].add_(back)
+                back = (fast_grad_k[k] @ by_x).mul_(inside_k[k - 1])
+                grad_y_k[k - 1].add_(back)
                 back_h[:, :fast].addmm_(back, output)
-            grad_u[k - 1].addcmul_(keep, grad_u[k]).addcmul_(back_h, slope[k - 1])
+            grad_u_k[k - 1].addcmul_(keep, grad_u_k[k]).addcmul_(back_h, slope_k[k - 1])
         flat, flat_y = (grad_u * rate).view(ticks * batch, -1), grad_y.view(ticks * batch, -1)
         by_hidden, by_bias = flat.t() @ hs[:-1].reshape(-1, size), flat.sum(0)
         return (
