@@ -8,6 +8,7 @@ Each writes DIR/NAME.json and its pictures beside it. Exit code 0: what it check
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -129,7 +130,17 @@ def _check(item: Common) -> None:
 
 
 def _write(item: Common, name: str, report: dict) -> None:
-    (item.out / f"{name}.json").write_text(json.dumps({"seed": item.seed} | report, indent=1) + "\n")
+    text = json.dumps(_plain({"seed": item.seed} | report), indent=1, allow_nan=False)
+    (item.out / f"{name}.json").write_text(text + "\n")
+
+
+def _plain(value: Any) -> Any:
+    """`value` with None for every number that is not finite, which JSON has no word for."""
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _networks(item: WithNetworks):
@@ -189,9 +200,13 @@ def run_return(item: Return) -> int:
         home = world.initial_posture[:ARM_JOINTS]
         units = np.minimum(upper - home, home - lower)
     outside = item.samples // 5 if item.outside is None else item.outside
-    found, picture = certify(world, units, samples=item.samples, outside=outside, seed=item.seed, workers=item.workers)
+    parts = item.out / "return_parts"
+    found, picture = certify(
+        world, units, samples=item.samples, outside=outside, seed=item.seed, workers=item.workers, folder=parts
+    )
     _write(item, "return", {"units": item.units} | found)
     save_certificate(picture, world, item.out / "return.png")
+    shutil.rmtree(parts)  # for a run that is broken off only
     print(
         f"inside: {found['failures_inside']} of {found['samples_inside']} fail to come home; V rises by at most "
         f"{found['max_v_increase']:.2e} (tolerance {found['v_tolerance']:.2e}); V contracts by {found['contraction_rate_measured']:.3f} a tick "
@@ -282,8 +297,8 @@ def run_guard(item: Guard) -> int:
     }
     table = {
         "coordinates_deg": grid.coordinates.tolist(),
-        "alpha": _with_none(grid.alpha),
-        "errors": _with_none(grid.error),
+        "alpha": grid.alpha.tolist(),
+        "errors": grid.error.tolist(),
     }
     _write(item, "guard", found | setting | table)
     title = f"alpha over {item.ticks} ticks after a displacement, {item.level:.2f} m before the can (seed {item.seed})"
@@ -297,10 +312,6 @@ def run_guard(item: Guard) -> int:
         f"displacement; off the grid's by at most {found['bisection_error']:.3f} deg (resolution {found['resolution']:.3f})"
     )
     return 0 if holds(found) else 1
-
-
-def _with_none(values: np.ndarray) -> list:
-    return [[float(v) if np.isfinite(v) else None for v in row] for row in values]
 
 
 def run_falsify(item: Falsify) -> int:

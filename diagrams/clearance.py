@@ -11,6 +11,8 @@ from diagrams.scenario import SPOTS
 from diagrams.station import CAN_HALF_HEIGHT, CANS, add_models
 
 MOVING = ("arm", "gripper")
+LEAST_SAMPLES = 24  # of a way
+SPACING = np.deg2rad(1.0)  # of the joint that moves most, between two samples
 
 
 class Clearance:
@@ -66,8 +68,9 @@ class Clearance:
                 return b if a in moving else a
         return None
 
-    def straight_way_touches(self, start: np.ndarray, goal: np.ndarray, samples: int = 24) -> str | None:
-        """The first model touched on the straight joint motion from `start` to `goal` (7 each, rad); None if clear."""
+    def straight_way_touches(self, start: np.ndarray, goal: np.ndarray) -> str | None:
+        """The first model touched on the straight joint motion from `start` to `goal` (7 each, rad), looked at every degree; None if clear."""
+        samples = max(LEAST_SAMPLES, 1 + int(np.ceil(np.abs(goal - start).max() / SPACING)))
         for share in np.linspace(0.0, 1.0, samples):
             if (name := self.touched((1 - share) * start + share * goal)) is not None:
                 return name

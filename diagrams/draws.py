@@ -154,7 +154,10 @@ class EpisodeDraws:
             level = float(rng.uniform(*ONSET_LEVELS[subtask]))
             if self._clearance.straight_way_touches(self._posture_at(subtask, level, can_xy, vacant), home) is None:
                 return level
-        raise RuntimeError(f"no moment of subtask {subtask} leaves a clear way home")
+        raise ScenarioError(
+            f"no moment of subtask {subtask} with the can at ({can_xy[0]:.3f}, {can_xy[1]:.3f}) m, the {vacant} spot vacant, leaves a clear way "
+            "home: choose another place with --can, or other models"
+        )
 
     def _deflected(
         self, rng: np.random.Generator, subtask: int, level: float, can_xy: tuple[float, float], vacant: str
@@ -173,9 +176,16 @@ class EpisodeDraws:
             if np.any(target < lower) or np.any(target > upper):
                 continue
             touches = self._clearance.straight_way_touches
-            if touches(target, target, 1) is None and touches(start, target) is None and touches(target, home) is None:
+            if (
+                self._clearance.touched(target) is None
+                and touches(start, target) is None
+                and touches(target, home) is None
+            ):
                 return target
-        raise RuntimeError(f"no posture to move the arm to was found from {np.rad2deg(start).round(1)} deg")
+        raise ScenarioError(
+            f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found from which the arm comes home freely, for the can at "
+            f"({can_xy[0]:.3f}, {can_xy[1]:.3f}) m, {level:.2f} m before the goal of subtask {subtask}: give experimenter.target"
+        )
 
     def _posture_at(self, subtask: int, level: float, can_xy: tuple[float, float], vacant: str) -> np.ndarray:
         """(7,) rad: where the teacher would be when the approach distance falls below `level`."""
@@ -187,7 +197,9 @@ class EpisodeDraws:
         for joints in path:
             if np.linalg.norm(self._hand.grasp_position(joints) + offset - centre) < level:
                 return joints
-        raise RuntimeError(f"the demonstrated motion does not come within {level} m of its goal")
+        raise ScenarioError(
+            f"the demonstrated motion of subtask {subtask} does not come within {level:.3f} m of its goal: choose an experimenter.level above that"
+        )
 
 
 def _spot_centres(world: World) -> dict[str, np.ndarray]:

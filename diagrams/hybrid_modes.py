@@ -2,7 +2,8 @@
 
 Mode `task` (alpha < 1/2): the network moves the arm and sees it. Mode `return` (alpha >= 1/2): the LQR moves the arm, the network runs on its
 own predictions. The guard is alpha = 1/2. Crossing it back resets the network's input from what it imagined to what is measured: at the
-switching point the two should be the same. For a tick after that the joints are still left to the LQR, and for a few the fingers stand (AlphaMixer).
+switching point the two should be the same. It does so a tick later, since Eqs. 7 and 8 take alpha of the tick before; for that tick the joints are
+still left to the LQR, and for a few more the fingers stand (AlphaMixer).
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from diagrams.rollout import Record
 from diagrams.station import ARM_JOINTS
 
 TASK, RETURN = "task", "return"
+SHORT = 0.3  # s: a stay up to that is listed by where it comes
+AT_RESET = 2.0  # s before the last crossing back in which a short stay belongs to it
 
 
 @dataclass(frozen=True)
@@ -109,18 +112,17 @@ def mode_sequence(record: Record, outcome: dict, name: str, initial_posture: np.
     crossings = [
         Crossing(int(k), float(time[k]), names[k - 1], names[k], float(alpha[k - 1]), float(alpha[k])) for k in changes
     ]
-    resets = [_reset(record, int(k), initial_posture) for k in changes if not high[k]]
+    resets = [_reset(record, int(k), initial_posture) for k in changes if not high[k] and k + 1 < len(time)]
     result = "done" if outcome["success"] else str(outcome["failure"])
     return ModeSequence(name, result, outcome["disturbance"], stays, crossings, resets)
 
 
 def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
-    # The prediction for tick k, made at the tick before: dm^R is taken from the posture of that tick.
-    imagined = record.posture[k - 1] + record.rnn_step[k - 1]
-    jump = np.abs(record.posture[k] - imagined)
-    home = np.abs(record.posture[k] - initial_posture)[:ARM_JOINTS]
+    # alpha falls at tick k, whose input is still imagined. The next would be the prediction made at k: dm^R is taken from the posture of k.
+    jump = np.abs(record.posture[k + 1] - (record.posture[k] + record.rnn_step[k]))
+    home = np.abs(record.posture[k + 1] - initial_posture)[:ARM_JOINTS]
     return Reset(
-        time=float(record.time[k]),
+        time=float(record.time[k + 1]),
         joint_jump_deg=float(np.rad2deg(jump[:ARM_JOINTS].max())),
         finger_jump_m=float(jump[ARM_JOINTS:].max()),
         home_distance_deg=float(np.rad2deg(home.max())),
@@ -133,6 +135,27 @@ def _spread(values: list[float]) -> dict:
         return {"count": 0}
     low, middle, high = np.quantile(values, [0.0, 0.5, 1.0])
     return {"count": len(values), "min": float(low), "median": float(middle), "max": float(high)}
+
+
+def short_stays(runs: list[ModeSequence]) -> dict[str, int]:
+    """How many stays between two crossings last at most SHORT, by where they come.
+
+    `reset`: within AT_RESET before the run's last crossing back to `task`, or in `task` right after it; `onset`: the first stay in `return`, or
+    within AT_RESET of the first crossing; `between`: any other.
+    """
+    found = {"onset": 0, "reset": 0, "between": 0}
+    for run in runs:
+        back = [c.time for c in run.crossings if c.target == TASK]
+        for stay in run.stays:
+            if not stay.complete or stay.seconds > SHORT + 1e-9:
+                continue
+            if stay.start - run.crossings[0].time < AT_RESET:
+                found["onset"] += 1
+            elif back and -AT_RESET <= stay.start - back[-1] <= 1e-9:
+                found["reset"] += 1
+            else:
+                found["between"] += 1
+    return found
 
 
 def report(runs: list[ModeSequence], limit: int) -> dict:
@@ -171,6 +194,7 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
         ],
         "dwell_seconds": dwell(True),
         "cut_off_seconds": dwell(False),
+        "short_stays": {"up_to_seconds": SHORT} | short_stays(runs),
         "transitions": transitions,
         "final_modes": {m: sum(run.stays[-1].mode == m for run in runs) for m in (TASK, RETURN)},
         "outcomes": {o: sum(run.outcome == o for run in runs) for o in sorted({run.outcome for run in runs})},

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +33,10 @@ def save_record(path: Path, record: Record, outcome: Outcome) -> None:
     """Writes `record` and `outcome` to `path` (.npz)."""
     text = json.dumps({"events": record.events, "outcome": outcome.to_dict()})
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(path, text=np.array(text), **{n: getattr(record, n) for n in _ARRAYS})
+    partial = path.with_name(f"{path.stem}.{os.getpid()}.part")
+    with partial.open("wb") as file:  # by name numpy would add .npz
+        np.savez_compressed(file, text=np.array(text), **{n: getattr(record, n) for n in _ARRAYS})
+    partial.replace(path)
 
 
 def load_record(path: Path) -> tuple[Record, dict]:
@@ -43,7 +48,16 @@ def load_record(path: Path) -> tuple[Record, dict]:
             text = json.loads(str(file["text"]))
             arrays = {name: file[name] for name in _ARRAYS}
         return Record(**arrays, events=[(float(t), str(what)) for t, what in text["events"]]), text["outcome"]
-    except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile) as error:
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        OSError,
+        EOFError,
+        zlib.error,
+        zipfile.BadZipFile,
+    ) as error:
         reason = " ".join(str(error).split())
         raise ScenarioError(
             f"{path} holds no record ({reason}): write one with `pick_place.py --log FILE.npz`"

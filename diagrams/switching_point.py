@@ -5,7 +5,7 @@ servo's lag is a few percent of a step), and the features do not change while th
 
 State of the map, and why no more: z = (c, m), the network's hidden state (S) and the scaled posture (8, its last component the *command* of the
 fingers). The last prediction enters the loop only times alpha (Eqs. 7, 8), the recalled postures only through alpha; alpha and its derivative
-at a fixed point, where nothing moves and all is recalled, are below double precision (`alpha` in the report measures it).
+are next to nothing at a fixed point, where nothing moves and all is recalled (`alpha` in the report measures it).
 
     y, c+ = rnn([m, f], c)                the policy: torch, float64 copy of the weights, Jacobian by torch.func
     m+    = mixer(m, clip(y), regulator(m), alpha = 0)      Eq. 3: Drake's systems, Jacobian by AutoDiffXd
@@ -281,8 +281,8 @@ def analyse(world: World, stored: StoredPolicy, image: SubtaskImage, *, samples:
         samples: perturbations simulated; seed: of their directions.
 
     Returns:
-        The report, plain types: `decay_predicted` and `decay_measured` are factors a tick (above 1: growth), `decay_error` the relative error
-        of their logarithms, `jacobian_error` the largest difference to finite differences; and what the picture needs.
+        The report, plain types: `decay_predicted` and `decay_measured` are factors a tick (above 1: growth), `decay_error` the largest relative
+        error of the logarithm of any sample's factor, `jacobian_error` the largest difference to finite differences; and what the picture needs.
     """
     loop = OneTickMap(world, stored, image.features)
     size = loop.posture_size
@@ -310,7 +310,7 @@ def analyse(world: World, stored: StoredPolicy, image: SubtaskImage, *, samples:
         "unstable": int(np.sum(np.abs(eigenvalues) >= 1.0)),
         "decay_predicted": radius,
         "decay_measured": measured,
-        "decay_error": float(abs(np.log(measured) / np.log(radius) - 1.0)),
+        "decay_error": float(max(abs(np.log(decay) / np.log(radius) - 1.0) for decay, _ in decays)),
         "jacobian_error": float(np.max(np.abs(J - loop.difference_jacobian(point.z)))),
         "eigenvalues": [[float(v.real), float(v.imag)] for v in eigenvalues[:40]],
     }

@@ -86,6 +86,9 @@ def load_detector(path: str | Path, method: str) -> StoredDetector:
     wanted = {"axes"} if method == "subspace" else {"angles", "lengths"}
     if set(tensors) != wanted:
         raise WeightsError(path, f"holds {sorted(tensors)}, where {sorted(wanted)} are needed", _REMEDY)
+    absent = {"calibrations", "metadata"} - set(header)
+    if absent:
+        raise WeightsError(path, f"has no {' and no '.join(sorted(absent))} in its header", _REMEDY)
     detector = StoredDetector(method, calibrations=header["calibrations"], metadata=header["metadata"])
     if method == "subspace":
         detector.axes = tensors["axes"].double().numpy()

@@ -9,11 +9,12 @@ from untrained import save_untrained
 from diagrams import rollout as rollout_module
 from diagrams import workers
 from diagrams.controllers import Controller
-from diagrams.hybrid_modes import mode_sequence, most_within, report, save_automaton
+from diagrams.hybrid_modes import mode_sequence, most_within, report, save_automaton, short_stays
 from diagrams.records import digest, find_records, load_record, save_record
 from diagrams.rollout import Record
 from diagrams.scenario import ScenarioError, World
 from diagrams.workers import Job
+from systems.loop_closer import LoopCloser
 
 PNG = b"\x89PNG\r\n\x1a\n"
 HOME = np.zeros(8)
@@ -61,12 +62,43 @@ def test_stays_and_crossings_by_hand():
 def test_reset_compares_the_prediction_with_what_came():
     run = sequence([0, 1, 1, 0, 0])
     found, (reset,) = record([0, 1, 1, 0, 0]), run.resets
-    jump = np.abs(found.posture[3] - (found.posture[2] + found.rnn_step[2]))
-    assert reset.time == pytest.approx(0.3)
+    # alpha_3 = 0: the network sees m_4 (Eqs. 7, 8 with alpha_3), where with alpha_3 = 1 it would have seen what it predicted at tick 3.
+    jump = np.abs(found.posture[4] - (found.posture[3] + found.rnn_step[3]))
+    assert reset.time == pytest.approx(0.4)
     assert reset.joint_jump_deg == pytest.approx(np.rad2deg(jump[:7].max()))
     assert reset.finger_jump_m == pytest.approx(jump[7])
-    assert reset.home_distance_deg == pytest.approx(np.rad2deg(np.abs(found.posture[3, :7]).max()))
+    assert reset.home_distance_deg == pytest.approx(np.rad2deg(np.abs(found.posture[4, :7]).max()))
     assert reset.state_rms == 0.5
+
+
+def test_a_reset_at_the_last_tick_is_none_yet():
+    assert sequence([0, 1, 1, 0]).resets == []
+
+
+def test_reset_of_the_loop_itself():
+    """What LoopCloser gives to the network at that tick, in mode task and had alpha stayed: their difference is the jump."""
+    closer = LoopCloser(posture_size=2, feature_size=1)
+    context = closer.CreateDefaultContext()
+    measured, imagined = np.array([0.3, -0.2]), np.array([0.5, 0.1])
+    inputs = {}
+    for alpha in (0.0, 1.0):
+        for name, value in (
+            ("posture", measured), ("features", [0.0]), ("predicted_posture", imagined), ("predicted_features", [0.0]),
+            ("alpha", [alpha]),
+        ):  # fmt: skip
+            closer.GetInputPort(name).FixValue(context, np.asarray(value))
+        inputs[alpha] = closer.get_output_port().Eval(context)[:2].copy()
+    assert inputs[0.0] - inputs[1.0] == pytest.approx(measured - imagined)
+
+
+def test_short_stays_by_where_they_come():
+    at_onset = [0] * 10 + [1, 0] + [1] * 30 + [0] * 9
+    at_reset = [0] * 10 + [1] * 30 + [0, 1, 0, 0] + [0] * 9
+    between = [0] * 10 + [1] * 30 + [0] * 2 + [1] * 30 + [0] * 9
+    assert short_stays([sequence(at_onset)]) == {"onset": 2, "reset": 0, "between": 0}
+    assert short_stays([sequence(at_reset)]) == {"onset": 0, "reset": 2, "between": 0}
+    assert short_stays([sequence(between)]) == {"onset": 0, "reset": 0, "between": 1}
+    assert short_stays([sequence([0] * 5), sequence([0, 1])]) == {"onset": 0, "reset": 0, "between": 0}
 
 
 def test_run_in_one_mode_has_no_crossing():
@@ -132,7 +164,15 @@ def test_digest_sees_one_bit():
 def test_what_is_no_record_is_named(tmp_path):
     (tmp_path / "text.npz").write_text("no")
     np.savez(tmp_path / "other.npz", a=1)
-    for name, words in (("none.npz", "no record"), ("text.npz", "holds no record"), ("other.npz", "holds no record")):
+    (tmp_path / "nothing.npz").write_bytes(b"")
+    save_record(tmp_path / "whole.npz", record([0, 1, 0]), FakeOutcome())
+    whole = (tmp_path / "whole.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "flipped.npz").write_bytes(whole[:400] + bytes(200) + whole[600:])
+    np.save(tmp_path / "array.npz.npy", np.zeros(3))
+    (tmp_path / "array.npz.npy").rename(tmp_path / "array.npz")
+    broken = ("text.npz", "other.npz", "nothing.npz", "cut.npz", "flipped.npz", "array.npz")
+    for name, words in (("none.npz", "no record"), *((name, "holds no record") for name in broken)):
         with pytest.raises(ScenarioError, match=words) as caught:
             load_record(tmp_path / name)
         assert "\n" not in str(caught.value)

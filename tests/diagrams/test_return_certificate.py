@@ -1,10 +1,12 @@
 """The certificate of mode return: hand-worked levels and rates, and a small proof on the plant."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from diagrams import return_certificate, return_loop
 from diagrams.return_certificate import (
     SAFETY_FACTOR,
     Lyapunov,
@@ -13,8 +15,9 @@ from diagrams.return_certificate import (
     save_certificate,
     servo_level,
 )
-from diagrams.return_loop import ReturnLoop
+from diagrams.return_loop import ReturnLoop, Sample, Way, ways_home
 from diagrams.rollout import controller_limits
+from diagrams.scenario import ScenarioError
 
 PNG = b"\x89PNG\r\n\x1a\n"
 UNITS = np.array([0.7, 0.5, 0.3, 0.7, 0.3, 0.5, 0.3])
@@ -31,8 +34,9 @@ def loop(world):
 
 
 @pytest.fixture(scope="module")
-def certificate(world):
-    return certify(world, UNITS, samples=12, outside=4, seed=0, workers=1)
+def certificate(world, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ways")
+    return certify(world, UNITS, samples=12, outside=4, seed=0, workers=1, folder=folder)
 
 
 def test_riccati_by_hand(lyapunov):
@@ -91,8 +95,9 @@ def test_command_of_the_loop_is_the_regulators(loop, world):
 
 def test_way_home_is_replayed_bit_by_bit(loop, world):
     start = world.initial_posture[:7] + 0.05
-    rows = loop.run(start, np.array([0.5, 0.0]), "left")
-    assert np.array_equal(rows, loop.run(start, np.array([0.5, 0.0]), "left"))
+    rows, broke_off = loop.run(start, np.array([0.5, 0.0]), "left")
+    assert broke_off is None
+    assert np.array_equal(rows, loop.run(start, np.array([0.5, 0.0]), "left")[0])
     assert np.array_equal(rows[0], start)
     assert np.abs(rows[-1] - world.initial_posture[:7]).max() < np.deg2rad(3.0)
 
@@ -129,3 +134,48 @@ def test_a_failure_is_no_certificate(certificate):
     found, _ = certificate
     assert not holds(found | {"failures_inside": 1})
     assert not holds(found | {"max_v_increase": 2 * found["v_tolerance"]})
+    assert not holds(found | {"contraction_rate_measured_clear": 1.001 * found["contraction_rate"]})
+
+
+def test_a_simulation_that_breaks_off_did_not_arrive(loop, world, monkeypatch):
+    def breaks(time):
+        raise RuntimeError("the state is not\nfinite")
+
+    monkeypatch.setattr(loop, "simulator", SimpleNamespace(
+        reset_context=loop.simulator.reset_context, get_mutable_context=loop.simulator.get_mutable_context,
+        Initialize=loop.simulator.Initialize, AdvanceTo=breaks,
+    ))  # fmt: skip
+    home = world.initial_posture[:7]
+    rows, broke_off = loop.run(home + 0.05, np.array([0.5, 0.0]), "left")
+    assert broke_off == "the state is not finite"
+    assert rows.shape == (1, 7)
+    at_home = np.tile(home, (3, 1))
+    assert Way(at_home, None).arrival(home) == 0
+    assert Way(at_home, None, broke_off).arrival(home) == -1
+
+
+def test_ways_survive_the_disk_and_are_not_run_again(world, tmp_path, monkeypatch):
+    home = world.initial_posture[:7]
+    samples = [Sample(home + 0.02 * k, np.array([0.55, 0.0]), "left") for k in range(3)]
+    monkeypatch.setattr(return_loop, "CHUNK", 2)
+    first = ways_home(world, samples, 1, "ways", tmp_path)
+    parts = sorted(tmp_path.glob("*.npz"))
+    assert len(parts) == 2
+    parts[0].unlink()
+    ran = []
+    true = return_loop.ReturnWorker.way
+    monkeypatch.setattr(return_loop.ReturnWorker, "way", lambda self, sample: ran.append(sample) or true(self, sample))
+    again = ways_home(world, samples, 1, "ways", tmp_path)
+    assert len(ran) in (1, 2)
+    for one, other in zip(first, again, strict=True):
+        assert np.array_equal(one.rows, other.rows)
+        assert (one.touches, one.broke_off) == (other.touches, other.broke_off)
+
+
+def test_where_no_way_is_clear_there_is_nothing_to_certify(world, tmp_path, monkeypatch):
+    rows = np.tile(world.initial_posture[:7], (2, 1))
+    monkeypatch.setattr(
+        return_certificate, "ways_home", lambda world, samples, *rest: [Way(rows, "desk") for _ in samples]
+    )
+    with pytest.raises(ScenarioError, match=r"each of 10 ways home .* touches something: raise --samples"):
+        certify(world, UNITS, samples=12, outside=4, seed=0, workers=1, folder=tmp_path)

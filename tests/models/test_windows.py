@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import torch
 
-from models.weights import WeightsError
+from models.weights import WeightsError, write_tensors
 from models.windows import (
     StoredDetector,
     calibration_of,
@@ -61,3 +62,10 @@ def test_what_does_not_fit_is_refused(tmp_path):
         calibration_of(path, load_detector(path, "knn"), "bb")
     with pytest.raises(WeightsError, match="does not exist"):
         load_detector(tmp_path / "nowhere", "knn")
+
+
+def test_a_header_without_calibrations_is_named(tmp_path):
+    path = tmp_path / "subspace.safetensors"
+    write_tensors(path, {"axes": torch.zeros(2, 10, 2)}, {"kind": "detector", "method": "subspace", "metadata": {}})
+    with pytest.raises(WeightsError, match=r"has no calibrations in its header.*baselines\.py"):
+        load_detector(path, "subspace")
