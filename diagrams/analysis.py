@@ -7,6 +7,8 @@ Each writes DIR/NAME.json and its pictures beside it. Exit code 0: what it check
 
 from __future__ import annotations
 
+import dataclasses
+import importlib.util
 import json
 import shutil
 import sys
@@ -18,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from diagrams.scenario import RNNS, SPOTS, WEIGHTS, Scenario, ScenarioError, World, save_scenario
+from diagrams.scenario import RNNS, SPOTS, WEIGHTS, ScenarioError, World, save_scenario
 from models.weights import WeightsError
 
 
@@ -86,7 +88,8 @@ class Guard(WithNetworks):
 class Falsify(WithNetworks):
     """The smallest disturbance that defeats the switched controller, by three samplers with the same budget."""
 
-    trials: int = 40  # simulated, a sampler
+    trials: int = 40  # simulated, a sampler; with more of them a search goes on from what is in --out
+    scenes: int = 4  # validation scenes among which it chooses
     workers: int = 2
 
 
@@ -117,6 +120,7 @@ def _check(item: Common) -> None:
         "samples": 1,
         "outside": 0,
         "trials": 1,
+        "scenes": 1,
         "grid": 3,
         "ticks": 1,
         "rays": 1,
@@ -316,52 +320,90 @@ def run_guard(item: Guard) -> int:
 
 def run_falsify(item: Falsify) -> int:
     """See Falsify."""
+    for name in ("optuna", "cmaes"):
+        if importlib.util.find_spec(name) is None:
+            raise ScenarioError(f"the search needs {name}: pip install -e '.[analysis]'")
     from diagrams import falsification as f
     from diagrams.draws import EpisodeDraws, episode_seeds
+    from diagrams.falsification_report import report, save_search
     from diagrams.kinematics import HandKinematics
+    from diagrams.pushes import NominalRun, Push, PushBuilder
     from diagrams.records import digest
     from diagrams.scenario import load_scenario
+    from diagrams.station import PickPlaceStation
 
-    world = World()
-    draws, rollout = EpisodeDraws(world), _rollout(item, world)
-    scene = draws.draw(episode_seeds("validation", item.seed, 1)[0], "none", rnn=item.rnn)
-    print("the undisturbed run ...", flush=True)
-    outcome, record = rollout.run(scene)
-    if outcome.switched:
-        raise ScenarioError(f"the undisturbed run of --seed {item.seed} already switches: choose another seed")
+    world, (encoder, policy) = World(), _networks(item)
+    if policy.gamma is None:
+        raise ScenarioError(f"{item.rnn}.safetensors has no calibration: run diagrams/calibrate.py on it")
+    draws, station = EpisodeDraws(world), PickPlaceStation(world, camera=False)
     hand = HandKinematics(world.initial_posture[:-1])
-    nominal = f.NominalRun.of(record, hand, rollout.station.spot(scene.vacant))
-    builder = f.PushBuilder(world, scene, nominal)
-    paths = item.weights / "cae.safetensors", item.weights / f"{item.rnn}.safetensors"
+    seeds = episode_seeds("validation", item.seed, item.scenes)
+    scenes = [draws.draw(seed, "none", rnn=item.rnn) for seed in seeds]
+    identity = {
+        "seed": item.seed, "scenes": item.scenes, "rnn": item.rnn, "weights_hash": policy.hash,
+        "encoder_hash": encoder.hash, "world": repr(world),
+    }  # fmt: skip
+    log = f.TrialLog(item.out / "falsify_trials.jsonl", identity)
     files: dict[tuple[str, int], str] = {}
-    counts = dict.fromkeys(f.SAMPLERS, 0)
 
-    def keep(name: str, trial: f.Trial) -> None:
+    def keep(name: str, number: int, trial: f.Trial) -> None:
         """Counterexamples are on disk as they come: a search takes long."""
         if trial.failure is not None:
-            file = files[name, counts[name]] = f"{name}-{counts[name] + 1}.yaml"
-            save_scenario(item.out / file, f.scenario_of(world, scene, trial.disturbance))
-        counts[name] += 1
+            file = files[name, number] = f"{name}-{number + 1}.yaml"
+            scenario = f.scenario_of(world, scenes[trial.push.scene], trial.disturbance)
+            save_scenario(item.out / file, scenario, _words(item, file, trial, policy.hash))
 
-    with f.Pool(world, *paths, scene, item.workers) as pool:
-        found = f.search_all(builder.disturbance, pool, item.trials, item.seed, on_trial=keep)
-    replayed = {}
-    report = f.report(found, files, scene)
-    # The smallest of each sampler again, from its file, in this process.
-    for case in report["counterexamples"]:
-        if case["sampler"] not in replayed:
-            scenario: Scenario = load_scenario(item.out / case["file"])
-            _, again = rollout.run(draws.episode(scenario))
-            replayed[case["sampler"]] = {"file": case["file"], "same_bits": digest(again) == case["digest"]}
-    _write(item, "falsify", report | {"undisturbed_success": outcome.success, "replayed": replayed})
-    f.save_search(found, item.out / "falsify.png")
+    paths = item.weights / "cae.safetensors", item.weights / f"{item.rnn}.safetensors"
+    with f.Pool(world, *paths, item.workers) as pool:
+        print(f"the undisturbed runs of {len(scenes)} scenes ...", flush=True)
+        nominal = pool.run(scenes)
+        for scene, (outcome, _) in zip(scenes, nominal, strict=True):
+            if outcome.switched:
+                raise ScenarioError(
+                    f"the undisturbed run of the scene {scene.seed} already switches: choose another --seed or fewer --scenes"
+                )
+        builders = [
+            PushBuilder(world, scene, NominalRun.of(record, hand, station.spot(scene.vacant)))
+            for scene, (_, record) in zip(scenes, nominal, strict=True)
+        ]
+
+        def run(push: Push, disturbance: Any) -> f.Trial:
+            episode = dataclasses.replace(scenes[push.scene], disturbance=disturbance)
+            return f.Trial.of(push, disturbance, *pool.run([episode])[0], float(policy.gamma))
+
+        found = f.search_all(
+            len(scenes), lambda push: builders[push.scene].disturbance(push), run, item.trials, item.seed, log,
+            on_trial=keep,
+        )  # fmt: skip
+        result = report(found, files, scenes)
+        # The smallest of each sampler again, from its file.
+        cases = {case["sampler"]: case for case in reversed(result["counterexamples"])}
+        again = pool.run([draws.episode(load_scenario(item.out / case["file"])) for case in cases.values()])
+    replayed = {
+        name: {"file": case["file"], "same_failure": outcome.switch_failure == case["failure"],
+               "same_bits": digest(record) == case["digest"]}
+        for (name, case), (outcome, record) in zip(cases.items(), again, strict=True)
+    }  # fmt: skip
+    undisturbed = [outcome.success for outcome, _ in nominal]
+    _write(item, "falsify", result | {"undisturbed_success": undisturbed, "replayed": replayed})
+    save_search(found, item.out / "falsify.png")
     for name in found:
-        smallest = report["smallest_magnitude"][name]
+        smallest = result["smallest_magnitude"][name]
         print(
-            f"{name}: first counterexample after {report['trials_to_first'][name]} of {report['trials'][name]} trials, smallest magnitude "
-            f"{'none' if smallest is None else f'{smallest:.3f}'}; {report['failures'][name]}"
+            f"{name}: first counterexample after {result['trials_to_first'][name]} of {result['trials'][name]} trials, smallest magnitude "
+            f"{'none' if smallest is None else f'{smallest:.3f}'}; {result['failures'][name]}"
         )
     return 0 if all(case["same_bits"] for case in replayed.values()) else 1
+
+
+def _words(item: Falsify, file: str, trial: Any, weights_hash: str) -> list[str]:
+    """What a scenario file of a counterexample says of itself."""
+    weights = "" if item.weights == WEIGHTS else " --weights DIR"
+    return [
+        f"{trial.failure}: {trial.push.form} of {trial.moved_deg:.1f} deg, {trial.push.ticks} ticks, in subtask {trial.push.subtask}",
+        f"{item.rnn}.safetensors with the hash {weights_hash[:16]}; record {trial.digest[:16]}",
+        f"python diagrams/pick_place.py --scenario {file}{weights}",
+    ]
 
 
 def run_states(item: States) -> int:

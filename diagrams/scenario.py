@@ -233,8 +233,9 @@ def load_scenario(path: Path) -> Scenario:
         ) from error
 
 
-def save_scenario(path: Path, scenario: Scenario) -> None:
-    """Writes what differs from the defaults to the YAML file `path`; `load_scenario` gives the same bits back."""
+def save_scenario(path: Path, scenario: Scenario, comments: list[str] | None = None) -> None:
+    """Writes what differs from the defaults to the YAML file `path`; `load_scenario` gives the same bits back. `comments`: lines above it."""
     from pydrake.common.yaml import yaml_dump_typed
 
-    yaml_dump_typed(scenario, filename=str(path), defaults=Scenario())
+    text = yaml_dump_typed(scenario, defaults=Scenario())
+    path.write_text("".join(f"# {line}\n" for line in comments or []) + text)
