@@ -136,9 +136,9 @@ class EpisodeDraws:
         hold = int(rng.integers(STOP_TICKS[0], STOP_TICKS[1] + 1))
         taken = subtask == 2 and rng.uniform() < CAN_TAKEN_SHARE
         elsewhere = self.unlearned_position(rng)
-        level = self._onset_level(rng, subtask, can_xy, vacant)
         if kind == "none":
             return DisturbanceDraw()
+        level = self._onset_level(rng, subtask, can_xy, vacant)
         if kind == "B":
             return DisturbanceDraw("B", subtask, level, None, hold, elsewhere if taken else None)
         if kind == "A":

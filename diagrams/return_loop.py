@@ -90,6 +90,8 @@ class ReturnLoop:
             try:
                 self.simulator.AdvanceTo(k * period)
             except RuntimeError as error:
+                if "non-finite" not in str(error):
+                    raise
                 return np.array(rows), " ".join(str(error).split())
             rows.append(port.Eval(local)[:ARM_JOINTS].copy())
             arrived += bool(np.all(np.abs(rows[-1] - home) < HOME_TOLERANCE))

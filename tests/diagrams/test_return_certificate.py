@@ -139,7 +139,7 @@ def test_a_failure_is_no_certificate(certificate):
 
 def test_a_simulation_that_breaks_off_did_not_arrive(loop, world, monkeypatch):
     def breaks(time):
-        raise RuntimeError("the state is not\nfinite")
+        raise RuntimeError("something is\nnon-finite")
 
     monkeypatch.setattr(loop, "simulator", SimpleNamespace(
         reset_context=loop.simulator.reset_context, get_mutable_context=loop.simulator.get_mutable_context,
@@ -147,7 +147,7 @@ def test_a_simulation_that_breaks_off_did_not_arrive(loop, world, monkeypatch):
     ))  # fmt: skip
     home = world.initial_posture[:7]
     rows, broke_off = loop.run(home + 0.05, np.array([0.5, 0.0]), "left")
-    assert broke_off == "the state is not finite"
+    assert broke_off == "something is non-finite"
     assert rows.shape == (1, 7)
     at_home = np.tile(home, (3, 1))
     assert Way(at_home, None).arrival(home) == 0
