@@ -104,4 +104,10 @@ def calibration_of(path: str | Path, detector: StoredDetector, policy_hash: str)
         raise WeightsError(
             path, f"has no calibration for the policy whose file has the hash {policy_hash[:12]}", _REMEDY
         )
-    return detector.calibrations[policy_hash]
+    found = detector.calibrations[policy_hash]
+    absent = {"mean_errors", "beta", "gamma"} - set(found)
+    if absent:
+        raise WeightsError(
+            path, f"has a calibration without {' and '.join(sorted(absent))} for {policy_hash[:12]}", _REMEDY
+        )
+    return found

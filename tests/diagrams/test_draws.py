@@ -149,3 +149,27 @@ def test_validation_and_evaluation_never_share_a_seed():
 def test_seeds_beyond_their_purpose_are_refused(seed, count, named):
     with pytest.raises(ScenarioError, match=named):
         episode_seeds("validation", seed, count)
+
+
+def test_a_scene_that_leaves_no_way_home_is_named(draws, monkeypatch):
+    monkeypatch.setattr(Clearance, "straight_way_touches", lambda *_: "desk")
+    with pytest.raises(ScenarioError, match=r"no moment of subtask [12] with the can at .* clear way home: choose"):
+        draws.draw(0, "B")
+    draws.draw(0, "none")  # undisturbed, the arm has no way home to keep clear
+    # Every way is clear, no posture at its end is.
+    monkeypatch.setattr(Clearance, "straight_way_touches", lambda *_: None)
+    monkeypatch.setattr(Clearance, "touched", lambda *_: "shelf")
+    with pytest.raises(ScenarioError, match=r"no posture 15 to 40 deg off .* give experimenter\.target"):
+        draws.draw(0, "A")
+
+
+def test_long_ways_are_looked_at_every_degree(world, monkeypatch):
+    clearance, home = Clearance(), world.initial_posture[:7]
+    seen = []
+    monkeypatch.setattr(clearance, "touched", seen.append)
+    assert clearance.straight_way_touches(home, home + np.deg2rad([0, 0, 0, 0, 0, 89.5, -10.0])) is None
+    assert len(seen) == 91
+    assert np.rad2deg(np.diff(seen, axis=0)[:, 5]) == pytest.approx(89.5 / 90)
+    seen.clear()
+    clearance.straight_way_touches(home, home + np.deg2rad(5.0))
+    assert len(seen) == 24

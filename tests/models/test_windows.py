@@ -64,6 +64,12 @@ def test_what_does_not_fit_is_refused(tmp_path):
         load_detector(tmp_path / "nowhere", "knn")
 
 
+def test_half_a_calibration_is_named(tmp_path):
+    detector = StoredDetector("knn", calibrations={"aa": {"beta": 30.0}})
+    with pytest.raises(WeightsError, match=r"without gamma and mean_errors for aa.*baselines\.py"):
+        calibration_of(tmp_path / "knn.safetensors", detector, "aa")
+
+
 def test_a_header_without_calibrations_is_named(tmp_path):
     path = tmp_path / "subspace.safetensors"
     write_tensors(path, {"axes": torch.zeros(2, 10, 2)}, {"kind": "detector", "method": "subspace", "metadata": {}})
