@@ -5,9 +5,7 @@
 1. Each candidate runs undisturbed validation episodes with the detector off; those that finish most go on.
 2. The recall of each n is referred to an error that few of those runs reach (see reference): what lies farther back is recalled worse at times.
 3. gamma, times that: as many standard deviations above the peaks of normal runs as below those of disturbed ones (see threshold).
-4. With these, disturbed validation episodes to their end: what follows on a recovery is normal too, and steps 2 and 3 are repeated with it.
-   Else the recall fails for a tick or two just as the network's input changes from what it imagined to what it sees.
-5. If several candidates go on, the one that finishes most of those disturbed episodes (then: fastest undisturbed) is taken.
+4. If several go on, the one that finishes most disturbed validation episodes with its calibration (then: fastest undisturbed) is taken.
 Validation seeds are no evaluation's seeds (diagrams/draws.py).
 """
 
@@ -49,7 +47,7 @@ class Calibrated:
     mean_errors: np.ndarray  # (N + 1,) of the runs that ended in success, scaled units squared
     reference_errors: np.ndarray  # (N + 1,) scaled units squared
     gamma: float
-    normal_peaks: np.ndarray  # of the undisturbed runs that ended in success, then of those after a recovery
+    normal_peaks: np.ndarray  # of the undisturbed runs that ended in success
     disturbed_peaks: dict[str, np.ndarray]  # by kind
 
 
@@ -112,40 +110,26 @@ class Calibrator:
         results = list(tqdm(runs, total=count, desc=f"{policy.stem} {kind}", unit="episode", leave=False, disable=None))
         return sorted(results, key=lambda r: r.job.seed)
 
-    def errors(self, policy: Path, normal: list[Result]) -> Errors:
-        """The errors of a candidate on its undisturbed runs, and on disturbed ones with the detector off."""
+    def calibrate(self, policy: Path, normal: list[Result]) -> Calibrated:
+        """Reference errors and gamma of a candidate from its undisturbed runs and from disturbed ones, detector off."""
         done = [r for r in normal if r.outcome.success]
-        mean = np.sum([r.squared_error_sum for r in done], axis=0) / sum(r.ticks for r in done)
+        mean_errors = np.sum([r.squared_error_sum for r in done], axis=0) / sum(r.ticks for r in done)
+        reference_errors = reference(np.array([r.peak_normal for r in done]))
+        peaks = np.array([np.max(r.peak_normal / reference_errors) for r in done])
+        print(
+            f"{policy.name}: normal error ratios peak at {np.median(peaks):.1f} (median), {peaks.max():.1f} (largest)"
+        )
         reached = {}
         for kind in ("A", "B"):
             found = [r.peak_disturbed for r in self.run(policy, kind, detection_only=True)]
-            reached[kind] = np.array([peak for peak in found if peak is not None]).reshape(-1, len(mean))
-        return Errors(mean, np.array([r.peak_normal for r in done]), reached)
-
-
-@dataclass
-class Errors:
-    """What a candidate's calibration is made of, scaled units squared."""
-
-    mean: np.ndarray  # (N + 1,) of the undisturbed runs that ended in success
-    normal: np.ndarray  # (R, N + 1) peaks of those runs
-    disturbed: dict[str, np.ndarray]  # by kind (D, N + 1) peaks
-
-    def calibrate(self, recovered: np.ndarray) -> Calibrated:
-        """Reference errors and gamma, `recovered` (Q, N + 1), the peaks after a recovery, being normal too; fewer than two are left out."""
-        kinds = [self.normal, recovered] if len(recovered) > 1 else [self.normal]
-        reference_errors = np.max([reference(peaks) for peaks in kinds], axis=0)
-        normal = np.concatenate([(peaks / reference_errors).max(axis=1) for peaks in kinds])
-        reached = {kind: (peaks / reference_errors).max(axis=1) for kind, peaks in self.disturbed.items()}
-        # The kind that is harder to notice decides.
-        gamma, deviations = min((threshold(normal, ratios) for ratios in reached.values()), key=lambda found: found[1])
-        print(f"  normal error ratios peak at {np.median(normal):.1f} (median), {normal.max():.1f} (largest)")
-        for kind, ratios in reached.items():
+            ratios = reached[kind] = np.array([np.max(p / reference_errors) for p in found if p is not None])
             print(
                 f"  disturbance {kind}: ratios reach {np.sort(ratios)[:4].round(1)} (smallest), {np.median(ratios):.0f} (median)"
             )
-        print(f"  beta {BETA}, gamma {gamma:.1f}: {deviations:.1f} standard deviations from either", flush=True)
-        return Calibrated(self.mean, reference_errors, gamma, normal, reached)
+        # The kind that is harder to notice decides.
+        gamma, deviations = min((threshold(peaks, ratios) for ratios in reached.values()), key=lambda found: found[1])
+        print(f"  beta {BETA}, gamma {gamma:.1f}: {deviations:.1f} standard deviations from either")
+        return Calibrated(mean_errors, reference_errors, gamma, peaks, reached)
 
 
 def main(arguments: CalibrateArguments) -> int:
@@ -163,15 +147,13 @@ def main(arguments: CalibrateArguments) -> int:
     finalists = [policy for policy in undisturbed if selection[policy.name]["none"]["successes"] == most]
     for policy in finalists:
         entry = selection[policy.name]
-        print(f"{policy.name}:")
-        errors = calibrator.errors(policy, undisturbed[policy])
-        first = errors.calibrate(np.empty((0, 0)))
-        calibration = Calibration(tuple(first.reference_errors), BETA, first.gamma)
-        runs = {kind: calibrator.run(policy, kind, calibration) for kind in ("A", "B")}
-        entry.update({kind: _tally(policy, kind, results) for kind, results in runs.items()})
-        recoveries = sum(entry[kind]["successes"] for kind in runs)
-        after = [r.peak_recovered for results in runs.values() for r in results if r.outcome.success]
-        calibrated = errors.calibrate(np.array([peak for peak in after if peak is not None]))
+        calibrated = calibrator.calibrate(policy, undisturbed[policy])
+        recoveries = 0
+        if len(finalists) > 1:
+            calibration = Calibration(tuple(calibrated.reference_errors), BETA, calibrated.gamma)
+            for kind in ("A", "B"):
+                entry[kind] = _tally(policy, kind, calibrator.run(policy, kind, calibration))
+                recoveries += entry[kind]["successes"]
         score = recoveries, -entry["none"]["mean_seconds"]
         if best is None or score > best[0]:
             best = score, policy, calibrated

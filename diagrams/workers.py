@@ -41,7 +41,6 @@ class Result:
     ticks: int
     peak_normal: np.ndarray  # (N + 1) largest l_n before the onset (of the whole run without one)
     peak_disturbed: np.ndarray | None  # (N + 1) largest l_n from the onset to the end of the disturbance + 5 ticks
-    peak_recovered: np.ndarray | None = None  # (N + 1) largest l_n after the recovery, from when the network sees again
 
 
 class Worker:
@@ -93,23 +92,12 @@ def stretches(record: Record) -> tuple[slice, slice]:
     return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)
 
 
-def recovery(record: Record, outcome: Outcome) -> int:
-    """The tick after the one at which the recall fitted again, with the arm at home: its input is the first one seen; the run's length without."""
-    if outcome.return_s is None or outcome.resume_s is None:
-        return len(record.time)
-    period = float(record.time[1] - record.time[0])
-    end = int(np.flatnonzero(record.active > 0.5)[-1]) + 1
-    return end + round((outcome.return_s + outcome.resume_s) / period) + 1
-
-
 def digest_errors(job: Job, outcome: Outcome, record: Record) -> Result:
     """What the calibration and the evaluation need of a run."""
     before, after = stretches(record)
     errors, disturbed = record.squared_errors[before], record.squared_errors[after]
     peak = disturbed.max(axis=0) if len(disturbed) else None
-    recovered = record.squared_errors[recovery(record, outcome) :]
-    peak_recovered = recovered.max(axis=0) if len(recovered) else None
-    return Result(job, outcome, errors.sum(axis=0), len(errors), errors.max(axis=0), peak, peak_recovered)
+    return Result(job, outcome, errors.sum(axis=0), len(errors), errors.max(axis=0), peak)
 
 
 _worker: Worker | None = None

@@ -22,6 +22,12 @@ from models.validation import validate
 from models.weights import StoredPolicy, WeightsError, file_hash, load_policy, save_policy
 
 JOINTS = 7
+# The MTRNN has a twentieth of the LSTM's weights: it spends them on the features unless the posture weighs more.
+NEEDS: dict[str, dict[str, Any]] = {
+    "lstm": {"steps": 10_000, "posture_weight": 4.0, "learning_rate": 1e-3},
+    "gru": {"steps": 10_000, "posture_weight": 4.0, "learning_rate": 1e-3},
+    "mtrnn": {"steps": 20_000, "posture_weight": 40.0, "learning_rate": 1e-2},
+}
 
 
 @dataclass(kw_only=True)
@@ -34,9 +40,9 @@ class RnnOptions(TrainingOptions):
         rnn: network of Table I.
         start_from: candidate file whose weights and scaling are trained further, on this encoder's features; of the same network,
             regulator gain and initial posture.
-        steps: updates.
+        steps: updates; None: as the network needs, see NEEDS.
         batch_size: sequences an update; a sequence is one subtask.
-        posture_weight: weight of the posture's against the features' mean square error.
+        posture_weight: weight of the posture's against the features' mean square error; None: see NEEDS.
         start_weight: extra weight of the first start_ticks ticks, where the network must start by itself.
         start_ticks: see start_weight.
         state_weight: weight of the mean of (c_0 - c_T)^2.
@@ -46,7 +52,7 @@ class RnnOptions(TrainingOptions):
         scaling_margin: how much wider than the data the scaling's bounds are.
         least_half_range: rad; a joint that moves less is scaled as if it moved that far, so that the noise on it, and
             what counts as an error of it, is not much smaller than that of the others.
-        learning_rate: of Adam, decays to final_rate by a cosine.
+        learning_rate: of Adam, decays to final_rate by a cosine; None: see NEEDS.
         final_rate: see learning_rate.
         checkpoint_every: updates between checkpoints, each with a candidate file rnn-STEP.safetensors.
         validate_every: updates between validations.
@@ -57,9 +63,9 @@ class RnnOptions(TrainingOptions):
     features: Path | None = None
     rnn: Literal["lstm", "gru", "mtrnn"] = "lstm"
     start_from: Path | None = None
-    steps: int = 10_000
+    steps: int | None = None
     batch_size: int = 16
-    posture_weight: float = 4.0
+    posture_weight: float | None = None
     start_weight: float = 3.0
     start_ticks: int = 6
     state_weight: float = 1.0
@@ -68,12 +74,17 @@ class RnnOptions(TrainingOptions):
     target: Literal["posture", "action"] = "action"
     scaling_margin: float = 1.1
     least_half_range: float = 0.3
-    learning_rate: float = 1e-3
+    learning_rate: float | None = None
     final_rate: float = 1e-4
     checkpoint_every: int = 2_000
     validate_every: int = 500
     augmentation: Augmentation = field(default_factory=Augmentation)
     accelerator: str = "cpu"  # a tick at a time on 16 sequences is no work for a GPU: its launches alone take longer
+
+    def __post_init__(self) -> None:
+        for name, value in NEEDS.get(self.rnn, {}).items():
+            if getattr(self, name) is None:
+                setattr(self, name, value)
 
 
 def encode_dataset(path: Path, encoder: Encoder, cache: Path, content_hash: str) -> dict[str, np.ndarray]:
@@ -116,6 +127,8 @@ class RnnModule(StepModule):
     pool: Tensor
 
     def __init__(self, options: RnnOptions, train: SequencePack, valid: SequencePack, policy: StoredPolicy) -> None:
+        assert options.steps is not None
+        assert options.learning_rate is not None
         super().__init__(options.steps, options.learning_rate, options.final_rate)
         self.options, self.train_pack, self.valid_pack, self.policy = options, train, valid, policy
         self.rnn = policy.rnn

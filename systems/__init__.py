@@ -12,10 +12,11 @@ detector               Eqs. 5 and 6: recalled against measured postures -> alpha
 window_detector        what the two baselines have in common: the last samples of each joint -> alpha
 knn_detector           the first baseline: distance to the nearest training window
 subspace_detector      the second: what is outside the leading axes of the training windows
+dwell_time             after a switch back alpha stays 0 for a few ticks
 posture_regulator      Drake's LQR for the discrete posture integrator
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 disturbance            moves or stops the arm in an experiment (discrete state)
-switching_law          the four systems that are pure mathematics, as one Diagram (converts to AutoDiffXd, Expression)
+switching_law          the five systems that are pure mathematics, as one Diagram (converts to AutoDiffXd, Expression)
 switched_controller    all of the controller, as one Diagram
 =====================  =============================================================================================
 """

@@ -69,6 +69,7 @@ class SwitchedController(Diagram):
         speed_limits: np.ndarray,
         period: float = 0.1,
         settling_ticks: int = 8,
+        dwell_ticks: int = 3,
         joints: int | None = None,
         image_width: int = 112,
         image_height: int = 112,
@@ -87,6 +88,7 @@ class SwitchedController(Diagram):
             period: T of the ticks, s.
             settling_ticks: D, how many ticks after the last one under alpha the network waits for the fingers; see
                 AlphaMixer.
+            dwell_ticks: W < D, how many ticks after alpha fell below 1/2 it is 0 whatever the detector says; see DwellTime.
             joints: J, the first J components are brought home; default M - 1, the last being the finger opening.
             image_width, image_height: of the image at the port, pixels.
         """
@@ -138,6 +140,7 @@ class SwitchedController(Diagram):
                 upper=(joint_upper - middle) / half_range,
                 max_step=speed_limits * period / half_range,
                 settling_ticks=settling_ticks,
+                dwell_ticks=dwell_ticks,
                 joints=joints,
             ),
         )

@@ -5,11 +5,12 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, System
 
 from systems.alpha_mixer import AlphaMixer
 from systems.detector import check_detector
+from systems.dwell_time import DwellTime
 from systems.loop_closer import LoopCloser
 
 
 class SwitchingLaw(Diagram):
-    """Wires detector, loop closer, regulator and mixer; no state of its own, everything scaled and dimensionless.
+    """Wires detector, dwell time, loop closer, regulator and mixer; no state of its own, everything scaled and dimensionless.
 
     .. pydrake_system::
 
@@ -45,7 +46,7 @@ class SwitchingLaw(Diagram):
     Outputs:
         network_input: (M + F,) x of Eqs. 7 and 8.
         errors: (E,) of the detector.
-        alpha: (1,) of the detector.
+        alpha: (1,) of the detector, 0 in the dwell time after it fell.
         desired_posture: (M,) the command m_k + dm, within limits.
         rnn_step, regulator_step, step: (M,) dm^R, dm^L and dm of Eq. 3, per tick.
 
@@ -65,6 +66,7 @@ class SwitchingLaw(Diagram):
         upper: np.ndarray,
         max_step: np.ndarray,
         settling_ticks: int = 1,
+        dwell_ticks: int = 0,
         joints: int = 0,
     ):
         """
@@ -74,6 +76,7 @@ class SwitchingLaw(Diagram):
             regulator: of `make_posture_regulator`, in scaled units; becomes part of this Diagram.
             lower, upper, max_step: (M,) limits of the command and of its step a tick, scaled; see AlphaMixer.
             settling_ticks: D; joints: J; see AlphaMixer.
+            dwell_ticks: W < D; see DwellTime.
         """
         super().__init__()
         check_detector(detector, posture_size=posture_size, horizon=horizon, state_size=state_size)
@@ -92,7 +95,9 @@ class SwitchingLaw(Diagram):
                 joints=joints,
             ),
         )
-        alpha = detector.GetOutputPort("alpha")
+        dwell = builder.AddNamedSystem("dwell_time", DwellTime(history=settling_ticks, dwell_ticks=dwell_ticks))
+        builder.Connect(detector.GetOutputPort("alpha"), dwell.GetInputPort("detector_alpha"))
+        alpha = dwell.GetOutputPort("alpha")
         builder.Connect(alpha, closer.GetInputPort("alpha"))
         builder.Connect(alpha, mixer.GetInputPort("alpha"))
         builder.Connect(regulator.GetOutputPort("step"), mixer.GetInputPort("regulator_step"))
@@ -106,7 +111,7 @@ class SwitchingLaw(Diagram):
             "predicted_features": [closer.GetInputPort("predicted_features")],
             "recalled_postures": [detector.GetInputPort("recalled_postures")],
             "hidden_state": [detector.GetInputPort("hidden_state")],
-            "last_alphas": [mixer.GetInputPort("last_alphas")],
+            "last_alphas": [mixer.GetInputPort("last_alphas"), dwell.GetInputPort("last_alphas")],
         }.items():
             builder.ExportInput(consumers[0], name)
             for consumer in consumers[1:]:

@@ -1,7 +1,6 @@
 """Calibration: which candidate is taken, what is written, and what a worker runs."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -73,31 +72,6 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
     assert all(job.detection_only == (job.kind != "none" and g == OFF) for _, job, g in asked)
     assert sorted({g for _, job, g in asked if job.kind != "none"}) == pytest.approx([gamma, OFF])
     assert "5 of 6 tasks done" in capsys.readouterr().out
-
-
-def test_what_follows_a_recovery_is_normal_too():
-    """Two criteria. Normal runs peak at 1 and 1; after a recovery the first reaches e^2 and e^4: mean 3, deviation sqrt(2)."""
-    mean, normal = np.ones(2), np.ones((3, 2))
-    disturbed = {kind: np.full((2, 2), 1e6) for kind in ("A", "B")}
-    errors = calibrate.Errors(mean, normal, disturbed)
-    without = errors.calibrate(np.empty((0, 2)))
-    assert without.reference_errors == pytest.approx([1.0, 1.0])
-    assert without.gamma == pytest.approx(1e3)  # the middle of 1 and 1e6
-    recovered = np.exp([[2.0, -9.0], [4.0, -9.0]])
-    found = errors.calibrate(recovered)
-    assert np.log(found.reference_errors) == pytest.approx([3.0 + 2.0 * np.sqrt(2.0), 0.0])
-    assert len(found.normal_peaks) == 3 + 2
-    assert found.disturbed_peaks["B"] == pytest.approx([1e6, 1e6])  # the second criterion tells as much as before
-    assert errors.calibrate(recovered[:1]).gamma == without.gamma  # one says nothing of a spread
-
-
-def test_errors_after_a_recovery_begin_with_the_first_input_that_is_seen():
-    active = np.zeros(20, bool)
-    active[4:8] = True
-    record = SimpleNamespace(time=0.1 * np.arange(20), active=active)
-    # Ends at 8, home 3 ticks later, alpha low 2 ticks after that, at tick 13: its input is imagined yet.
-    assert workers.recovery(record, replace(OUTCOME, return_s=0.3, resume_s=0.2)) == 14
-    assert workers.recovery(record, replace(OUTCOME, return_s=0.3, resume_s=None)) == 20
 
 
 def test_reference_by_hand():

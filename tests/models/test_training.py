@@ -273,3 +273,13 @@ def test_out_that_is_a_file_is_exit_code_2(data_file: Path, tmp_path: Path, caps
     (tmp_path / "file").touch()
     assert main(["cae", "--data", str(data_file), "--out", str(tmp_path / "file")]) == 2
     assert "File exists" in capsys.readouterr().err
+
+
+def test_each_network_is_trained_as_it_needs_unless_told(tmp_path):
+    def options(**given):
+        return RnnOptions(data=tmp_path / "d.h5", out=tmp_path, encoder=tmp_path / "cae.safetensors", **given)
+
+    assert (options().steps, options().posture_weight, options().learning_rate) == (10_000, 4.0, 1e-3)
+    mtrnn = options(rnn="mtrnn", posture_weight=4.0)
+    assert (mtrnn.steps, mtrnn.posture_weight, mtrnn.learning_rate) == (20_000, 4.0, 1e-2)
+    assert mtrnn.as_metadata()["learning_rate"] == 1e-2

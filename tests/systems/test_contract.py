@@ -11,6 +11,7 @@ from systems import posture_regulator
 from systems.alpha_mixer import AlphaMixer
 from systems.detector import RecallDetector
 from systems.disturbance import Disturbance
+from systems.dwell_time import DwellTime
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector
 from systems.loop_closer import LoopCloser
@@ -71,6 +72,10 @@ CASES = {
         {(i, o) for i in MIXER_INPUTS for o in ("desired_posture", "step")}
         | {("posture", "rnn_step"), ("predicted_posture", "rnn_step"), ("regulator_step", "regulator_step")},
     ),
+    "DwellTime": (
+        lambda: DwellTime(history=3, dwell_ticks=2),
+        {("detector_alpha", "alpha"), ("last_alphas", "alpha")},
+    ),
     "Disturbance": (
         lambda: Disturbance(posture_size=M, kind="B", hold_ticks=2, trigger_level=0.0),
         {("desired_posture", "disturbed_posture")},
@@ -81,7 +86,8 @@ CASES = {
         | {(i, o) for i in COMMAND_INPUTS for o in ("desired_posture", "step")}
         | {("sampled_posture", o) for o in ("rnn_step", "regulator_step")}
         | {("predicted_posture", "rnn_step")}
-        | {(i, "network_input") for i in (*CLOSER_INPUTS[:-1], "posture_history", "recalled_postures")},
+        | {(i, "network_input") for i in (*CLOSER_INPUTS[:-1], "posture_history", "recalled_postures")}
+        | {("last_alphas", o) for o in ("alpha", "network_input")},
     ),
     "SwitchedController": (make_controller, {("rgb_image", "features")}),
 }
@@ -142,7 +148,7 @@ def test_controller_names_and_topology():
     names = {system.get_name() for system in controller.GetSystems()}
     assert {"image_encoder", "posture_scaling", "recurrent_policy", "posture_history", "switching_law"} <= names
     law_names = {system.get_name() for system in controller.GetSubsystemByName("switching_law").GetSystems()}
-    assert law_names == {"loop_closer", "detector", "posture_regulator", "alpha_mixer"}
+    assert law_names == {"loop_closer", "detector", "dwell_time", "posture_regulator", "alpha_mixer"}
     wires = {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
         f"{target.get_name()}.{target.get_input_port(into).get_name()}"

@@ -8,6 +8,7 @@ from hypothesis.extra.numpy import arrays
 from system_checks import evaluate, evaluate_autodiff, evaluate_symbolic
 
 from systems.alpha_mixer import AlphaMixer
+from systems.dwell_time import DwellTime
 from systems.loop_closer import LoopCloser
 from systems.posture_regulator import lqr, make_posture_regulator
 
@@ -80,6 +81,48 @@ def test_alpha_mixer_converts():
     assert gradient == pytest.approx(0.5 * np.eye(3))
     assert evaluate_symbolic(MIXER, "desired_posture", MIXER_INPUTS) == pytest.approx(MIXED_POSTURE)
     assert evaluate_symbolic(MIXER, "rnn_step", MIXER_INPUTS) == pytest.approx([0.1, 2.0, 0.2])
+
+
+DWELL = DwellTime(history=4, dwell_ticks=2)
+
+
+@pytest.mark.parametrize(
+    ("last", "alpha"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], 0.8),
+        ([1.0, 0.0, 0.0, 0.0], 0.8),  # it stays up
+        ([0.2, 0.5, 0.0, 0.0], 0.0),  # it fell at the tick before
+        ([0.0, 0.2, 1.0, 0.0], 0.0),  # two ticks before
+        ([0.0, 0.0, 0.2, 1.0], 0.8),  # three: the dwell time is over
+        ([0.6, 0.2, 1.0, 0.0], 0.0),
+    ],
+)
+def test_dwell_time_by_hand(last, alpha):
+    inputs = dict(detector_alpha=[0.8], last_alphas=last)
+    assert evaluate(DWELL, "alpha", inputs) == pytest.approx([alpha])
+    assert evaluate_symbolic(DWELL, "alpha", inputs) == pytest.approx([alpha])
+    value, gradient = evaluate_autodiff(DWELL, "alpha", inputs, "detector_alpha")
+    assert value == pytest.approx([alpha])
+    assert gradient.ravel() == pytest.approx([1.0 if alpha else 0.0])
+
+
+def test_no_dwell_time_is_transparent():
+    gate = DwellTime(history=1, dwell_ticks=0)
+    assert evaluate(gate, "alpha", dict(detector_alpha=[0.8], last_alphas=[0.0])) == pytest.approx([0.8])
+    assert evaluate_symbolic(gate, "alpha", dict(detector_alpha=[0.8], last_alphas=[0.0])) == pytest.approx([0.8])
+    with pytest.raises(ValueError, match="dwell_ticks is 4, history 4: pass a number below that"):
+        DwellTime(history=4, dwell_ticks=4)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=60), st.integers(0, 3))
+def test_dwell_time_bounds_the_crossings(detector_alphas, ticks):
+    """Whatever the detector says, a stay below the guard lasts W + 1 ticks at least."""
+    gate, past = DwellTime(history=4, dwell_ticks=ticks), [0.0] * 4
+    for alpha in detector_alphas:
+        past.insert(0, float(evaluate(gate, "alpha", dict(detector_alpha=[alpha], last_alphas=past[:4]))[0]))
+    high = "".join("1" if alpha >= 0.5 else "0" for alpha in reversed(past))
+    assert all(len(stay) > ticks for stay in high.split("1")[1:-1] if stay)
 
 
 def test_conversion_back_and_forth_keeps_the_limits():

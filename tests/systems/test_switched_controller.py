@@ -63,8 +63,8 @@ def test_loop_closing_at_tick_k_uses_alpha_of_the_tick_before():
     assert policy.inputs[6] == pytest.approx(prediction)
 
 
-def reference(policy, arm, ticks, disturb, settling_ticks):
-    """method.md's tick, in numpy, the network waiting with the fingers for settling_ticks; returns commands and alphas (ticks, ...)."""
+def reference(policy, arm, ticks, disturb, settling_ticks, dwell_ticks):
+    """method.md's tick, in numpy, the fingers waiting for settling_ticks, alpha down for dwell_ticks; returns commands and alphas (ticks, ...)."""
     lower, upper = policy.scaling.lower, policy.scaling.upper
     scale, unscale = policy.scaling.scale, lambda x: lower + (x + 1.0) * (upper - lower) / 2.0
     M, f = policy.posture_size, 0.2 * np.arange(1, 5) / 4
@@ -87,7 +87,8 @@ def reference(policy, arm, ticks, disturb, settling_ticks):
         recalled = np.vstack((prediction, policy.recall(state)))
         prediction, predicted_features = np.clip(y[:M], -1.0, 1.0), np.clip(y[M:], -1.0, 1.0)
         history = [m, *history[:-1]]
-        alpha = detect(recalled)
+        fell = any(seen[-j] < 0.5 <= seen[-j - 1] for j in range(1, dwell_ticks + 1))
+        alpha = 0.0 if fell else detect(recalled)
         seen.append(alpha)
         held = np.array([max(seen[-2:])] * (M - 1) + [max(seen[-1 - settling_ticks :])])
         arm = unscale(m + (1.0 - held) * (prediction - m) - K @ (m - initial))
@@ -96,17 +97,19 @@ def reference(policy, arm, ticks, disturb, settling_ticks):
     return np.array(commands), np.array(alphas)
 
 
-@pytest.mark.parametrize(("joints", "settling_ticks"), [(1, 1), (3, 1), (7, 1), (3, 4)])
-def test_thirty_ticks_are_those_of_the_equations(joints, settling_ticks):
+@pytest.mark.parametrize(
+    ("joints", "settling_ticks", "dwell_ticks"), [(1, 1, 0), (3, 1, 0), (7, 1, 0), (3, 4, 1), (3, 4, 3)]
+)
+def test_thirty_ticks_are_those_of_the_equations(joints, settling_ticks, dwell_ticks):
     def disturb(k):
         return 0.15 if k in (8, 9, 20) else 0.0
 
     policy = FakePolicy(joints=joints, gain=0.1)
     policy.beta, policy.gamma = 0.5, 2.0  # soft, so that alpha takes many values
-    expected, alphas = reference(policy, policy.initial_posture, 30, disturb, settling_ticks)
+    expected, alphas = reference(policy, policy.initial_posture, 30, disturb, settling_ticks, dwell_ticks)
     assert alphas.min() < 0.4
     assert alphas.max() > 0.9
-    loop, policy, _ = closed_loop(policy, settling_ticks=settling_ticks)
+    loop, policy, _ = closed_loop(policy, settling_ticks=settling_ticks, dwell_ticks=dwell_ticks)
     for k in range(30):
         if k:
             loop.simulator.AdvanceTo((k - 0.25) * PERIOD)
@@ -139,7 +142,7 @@ def test_what_was_imagined_is_no_command():
     """As alpha falls, the predictions still come from imagination: they must not open the fingers."""
     policy = FakePolicy(drift=0.02)
     detector = Scheduled(20, posture_size=4, horizon=2, state_size=policy.state_size)
-    loop, *_ = closed_loop(policy, detector=detector, settling_ticks=3)
+    loop, *_ = closed_loop(policy, detector=detector, settling_ticks=3, dwell_ticks=1)
     start = policy.initial_posture
     half_range = (policy.scaling.upper - policy.scaling.lower) / 2.0
     loop.after_tick(19)
