@@ -82,7 +82,7 @@ class RnnOptions(TrainingOptions):
     accelerator: str = "cpu"  # a tick at a time on 16 sequences is no work for a GPU: its launches alone take longer
 
     def __post_init__(self) -> None:
-        for name, value in NEEDS.get(self.rnn, {}).items():
+        for name, value in NEEDS.get(self.rnn, NEEDS["lstm"]).items():
             if getattr(self, name) is None:
                 setattr(self, name, value)
 
