@@ -215,7 +215,7 @@ def run_return(item: Return) -> int:
         f"inside: {found['failures_inside']} of {found['samples_inside']} fail to come home; V rises by at most "
         f"{found['max_v_increase']:.2e} (tolerance {found['v_tolerance']:.2e}); V contracts by {found['contraction_rate_measured']:.3f} a tick "
         f"(certified {found['contraction_rate']:.3f})\noutside: {found['failures_outside']} of {outside} fail; "
-        f"straight ways home that touch something: {found['collision_share']}"
+        f"straight ways home that touch something: {found['collision_share']} inside, {found['collision_share_outside']} outside"
     )
     return 0 if holds(found) else 1
 

@@ -218,6 +218,7 @@ def certify(
         "touches": [way.touches for way in ways_in],
         "joints_outside": np.array([sample.joints for sample in drawn_out]).reshape(-1, ARM_JOINTS),
         "failed_outside": arrivals_out < 0,
+        "touches_outside": [way.touches for way in ways_out],
     }
     return report, picture
 
@@ -265,19 +266,22 @@ def save_certificate(picture: dict, world: World, path: Path) -> None:
     hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
     inside = np.array([hand.grasp_position(joints) for joints in picture["joints"]])
     outside = np.array([hand.grasp_position(joints) for joints in picture["joints_outside"]]).reshape(-1, 3)
-    touches = np.array([name or "nothing" for name in picture["touches"]])
+    touches, touches_outside = (
+        np.array([name or "nothing" for name in picture[key]]) for key in ("touches", "touches_outside")
+    )
     colours = dict(zip(("desk", "shelf", "can_to_pick", "can_on_shelf"), (ORANGE, GREEN, RED, "purple"), strict=True))
     for axis, (i, j), title in ((axes[1], (0, 1), "from above"), (axes[2], (0, 2), "from the side")):
-        failed = picture["failed_outside"]
+        failed, clear = picture["failed_outside"], touches == "nothing"
         axis.plot(*outside[failed][:, [i, j]].T, "x", color="0.5", ms=4, label=f"outside, fails ({failed.sum()})")
-        clear = touches == "nothing"
         axis.plot(*inside[clear][:, [i, j]].T, ".", color=BLUE, ms=2, alpha=0.4, label=f"inside, clear ({clear.sum()})")
-        for name, colour in colours.items():
-            chosen = touches == name
-            if chosen.any():
-                axis.plot(
-                    *inside[chosen][:, [i, j]].T, ".", color=colour, ms=5, label=f"way touches {name} ({chosen.sum()})"
-                )
+        for where, hands, touched, marker in (
+            ("inside", inside, touches, "."),
+            ("outside", outside, touches_outside, "^"),
+        ):
+            for name in [name for name in colours if name in touched]:
+                chosen = touched == name
+                label = f"{where}, way touches {name} ({chosen.sum()})"
+                axis.plot(*hands[chosen][:, [i, j]].T, marker, color=colours[name], ms=5, label=label)
         axis.set_aspect("equal", adjustable="datalim")
         axis.set_xlabel("x (m)")
         axis.set_ylabel(f"{'xyz'[j]} (m)")

@@ -281,5 +281,5 @@ def test_each_network_is_trained_as_it_needs_unless_told(tmp_path):
 
     assert (options().steps, options().posture_weight, options().learning_rate) == (10_000, 4.0, 1e-3)
     mtrnn = options(rnn="mtrnn", posture_weight=4.0)
-    assert (mtrnn.steps, mtrnn.posture_weight, mtrnn.learning_rate) == (20_000, 4.0, 1e-2)
-    assert mtrnn.as_metadata()["learning_rate"] == 1e-2
+    assert (mtrnn.steps, mtrnn.posture_weight, mtrnn.learning_rate) == (16_000, 4.0, 4e-3)
+    assert mtrnn.as_metadata()["learning_rate"] == 4e-3
