@@ -7,7 +7,8 @@
 3. gamma: where most of the validation runs, undisturbed and disturbed, are judged right.
 4. Trials in closed loop on validation episodes: that gamma times each factor, with each beta; the one that switches right most often is taken.
 
-Writes knn.safetensors and subspace.safetensors beside the networks. Exit code 2: bad input.
+Writes knn.safetensors and subspace.safetensors beside the networks, after each network; the same command goes on after a kill, and one with
+more policies adds them. Exit code 2: bad input.
 """
 
 from __future__ import annotations
@@ -31,7 +32,16 @@ from diagrams.scenario import DISTURBANCES, WEIGHTS, ScenarioError, World
 from diagrams.station import ARM_JOINTS
 from diagrams.workers import Job, run_jobs, stretches
 from models.weights import WeightsError
-from models.windows import METHODS, WINDOW, StoredDetector, leading_axes, posture_windows, save_detector, stored_as
+from models.windows import (
+    METHODS,
+    WINDOW,
+    StoredDetector,
+    leading_axes,
+    load_detector,
+    posture_windows,
+    save_detector,
+    stored_as,
+)
 
 
 @dataclass
@@ -124,16 +134,25 @@ def main(arguments: BaselinesArguments) -> int:
     runs = stored_as(_training_runs(arguments, policies))
     windows = posture_windows(runs)
     print(f"{windows.shape[1]} windows of {len(runs)} runs", flush=True)
-    notes = {"data": None if arguments.data is None else arguments.data.name, "runs": len(runs), "seed": arguments.seed}
+    notes = {"data": None if arguments.data is None else arguments.data.name, "runs": len(runs)}
+    notes |= {
+        name: getattr(arguments, name) for name in ("seed", "episodes", "disturbed", "trials", "factors", "betas")
+    }
     stored = {}
     for method in arguments.method:
-        fitted = {"axes": leading_axes(windows)} if method == "subspace" else {"runs": runs}
-        stored[method] = StoredDetector(method, metadata=dict(notes), **fitted)
+        fitted: dict[str, Any] = {"axes": leading_axes(windows)} if method == "subspace" else {"runs": runs}
+        detector = StoredDetector(method, metadata=dict(notes), **fitted)
+        stored[method] = _begun(_file(arguments, method), detector) or detector
         save_detector(_file(arguments, method), stored[method])  # what the trials run is what was stored
     for path, policy in policies.items():
+        if all(policy.hash in detector.calibrations for detector in stored.values()):
+            print(f"{path.name}: calibrated already", flush=True)
+            continue
         counts = {kind: arguments.episodes if kind == "none" else arguments.disturbed for kind in DISTURBANCES}
         traces = _run(arguments, path, policy, counts, digest_trace)
         for method, detector in stored.items():
+            if policy.hash in detector.calibrations:
+                continue
             anomaly = make_window_detector(detector, policy, never_fires(ARM_JOINTS)).anomaly
             mean, gamma, peaks = calibrate(anomaly, traces, policy.initial_posture[:ARM_JOINTS])
             print(
@@ -164,6 +183,17 @@ def _check(arguments: BaselinesArguments) -> None:
 
 def _file(arguments: BaselinesArguments, method: str) -> Path:
     return arguments.policies[0].parent / f"{method}.safetensors"
+
+
+def _begun(file: Path, asked: StoredDetector) -> StoredDetector | None:
+    """What an earlier call left in `file`, if it was fitted to the same runs and calibrated the same way."""
+    if not file.exists():
+        return None
+    found = load_detector(file, asked.method)
+    same = {name: found.metadata.get(name) for name in asked.metadata} == asked.metadata
+    arrays = [[*d.runs, *([] if d.axes is None else [d.axes])] for d in (found, asked)]
+    same = same and [a.shape for a in arrays[0]] == [a.shape for a in arrays[1]]
+    return found if same and all(np.allclose(a, b, atol=1e-6) for a, b in zip(*arrays, strict=True)) else None
 
 
 def _training_runs(arguments: BaselinesArguments, policies: dict[Path, Any]) -> list[np.ndarray]:

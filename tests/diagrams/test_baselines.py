@@ -120,7 +120,15 @@ def fitted(folder):
             trials=2, factors=[1.0, 1e-3, 1e3],
         )  # fmt: skip
         assert baselines.main(arguments) == 0
-    return asked
+        asked_once = list(asked)
+        # Again: what is there is kept; with other trials it is calibrated anew.
+        assert baselines.main(arguments) == 0
+        again = asked[len(asked_once) :]
+        assert [len(jobs) for _, _, jobs in again] == [5]  # the runs to fit from only
+        assert baselines.main(replace(arguments, method=["knn"], disturbed=2)) == 0
+        assert len(asked) == len(asked_once) + len(again) + 2 + 3
+        assert baselines.main(replace(arguments, method=["knn"])) == 0
+    return asked_once
 
 
 def test_files_hold_what_was_chosen(folder, fitted):
