@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import JointActuatorIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -318,6 +319,19 @@ def test_cans_stand_still_where_they_are_put(world):
     before = station.GetOutputPort("can_poses").Eval(simulator.get_context())
     play(station, simulator, [world.initial_posture] * 20)
     assert station.GetOutputPort("can_poses").Eval(simulator.get_context()) == pytest.approx(before, abs=5e-4)
+
+
+def test_a_can_that_falls_from_the_desk_lands(world):
+    """Without a floor it would fall and spin for ever, until its attitude is no number any more."""
+    station = PickPlaceStation(world, camera=False)
+    simulator = start(station, (1.2, 0.0))
+    plant_context = station.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    spin = SpatialVelocity(w=[30.0, 40.0, 0.0], v=[0.5, 0.0, 0.0])
+    can = station.plant.GetBodyByName("can", station.plant.GetModelInstanceByName("can_to_pick"))
+    station.plant.SetFreeBodySpatialVelocity(context=plant_context, body=can, V_JpJc=spin)
+    play(station, simulator, [world.initial_posture] * 100)
+    height = station.GetOutputPort("can_poses").Eval(simulator.get_context())[6]
+    assert -0.72 < height < -0.72 + 2 * CAN_HALF_HEIGHT
 
 
 def test_spots_lie_on_the_shelf(station):
