@@ -5,7 +5,8 @@
 1. Windows of each joint from the training demonstrations in --data; without it from undisturbed runs of the networks (detector off).
 2. Mean errors: over undisturbed validation episodes that were finished, detector off; the episodes that calibrate.py uses.
 3. gamma: where most of the validation runs, undisturbed and disturbed, are judged right.
-4. Trials in closed loop on validation episodes: that gamma times each factor, with each beta; the one that switches right most often is taken.
+4. Trials in closed loop on validation episodes: that gamma times each factor with the first beta, then the best with the other betas; what
+   switches right most often is taken.
 
 Writes knn.safetensors and subspace.safetensors beside the networks, after each network; the same command goes on after a kill, and one with
 more policies adds them. Exit code 2: bad input.
@@ -14,7 +15,6 @@ more policies adds them. Exit code 2: bad input.
 from __future__ import annotations
 
 import importlib.util
-import itertools
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -53,11 +53,11 @@ class BaselinesArguments:
     method: list[str] = field(default_factory=lambda: list(METHODS))  # knn, subspace
     encoder: Path = WEIGHTS / "cae.safetensors"
     fit_episodes: int = 50  # undisturbed runs of each network to fit from, without --data
-    episodes: int = 12  # undisturbed validation episodes
-    disturbed: int = 16  # validation episodes of each of A and B
-    trials: int = 8  # validation episodes of each of none, A and B in closed loop, for each gamma and beta
+    episodes: int = 20  # undisturbed validation episodes, as many as calibrate.py runs
+    disturbed: int = 24  # validation episodes of each of A and B, as many as calibrate.py runs
+    trials: int = 6  # validation episodes of each of none, A and B in closed loop, for each gamma and beta
     factors: list[float] = field(default_factory=lambda: [1.0, 0.5, 0.25, 2.0])  # of gamma; the first wins a draw
-    betas: list[float] = field(default_factory=lambda: [30.0])
+    betas: list[float] = field(default_factory=lambda: [30.0, 10.0, 100.0])  # the first wins a draw
     seed: int = 0
     workers: int = 2
 
@@ -131,19 +131,19 @@ def main(arguments: BaselinesArguments) -> int:
 
     _check(arguments)
     policies = {path: Policy(path) for path in arguments.policies}
-    runs = stored_as(_training_runs(arguments, policies))
-    windows = posture_windows(runs)
-    print(f"{windows.shape[1]} windows of {len(runs)} runs", flush=True)
-    notes = {"data": None if arguments.data is None else arguments.data.name, "runs": len(runs)}
-    notes |= {
+    notes = {"data": _content(arguments.data)} | {
         name: getattr(arguments, name) for name in ("seed", "episodes", "disturbed", "trials", "factors", "betas")
     }
-    stored = {}
-    for method in arguments.method:
-        fitted: dict[str, Any] = {"axes": leading_axes(windows)} if method == "subspace" else {"runs": runs}
-        detector = StoredDetector(method, metadata=dict(notes), **fitted)
-        stored[method] = _begun(_file(arguments, method), detector) or detector
-        save_detector(_file(arguments, method), stored[method])  # what the trials run is what was stored
+    stored = {method: _begun(_file(arguments, method), method, notes) for method in arguments.method}
+    if not all(stored.values()):
+        kept = [detector.runs for detector in stored.values() if detector and detector.runs]
+        runs = kept[0] if kept else stored_as(_training_runs(arguments, policies))
+        windows = posture_windows(runs)
+        print(f"{windows.shape[1]} windows of {len(runs)} runs", flush=True)
+        for method in [method for method, found in stored.items() if not found]:
+            fitted: dict[str, Any] = {"axes": leading_axes(windows)} if method == "subspace" else {"runs": runs}
+            stored[method] = StoredDetector(method, metadata=dict(notes), **fitted)
+            save_detector(_file(arguments, method), stored[method])  # what the trials run is what was stored
     for path, policy in policies.items():
         if all(policy.hash in detector.calibrations for detector in stored.values()):
             print(f"{path.name}: calibrated already", flush=True)
@@ -175,6 +175,10 @@ def _check(arguments: BaselinesArguments) -> None:
             raise ScenarioError(f"there is no method '{method}': choose from {', '.join(METHODS)}")
     if not arguments.method or not arguments.factors or not arguments.betas:
         raise ScenarioError("methods, factors and betas need one value at least")
+    for name, values in (("factor", arguments.factors), ("beta", arguments.betas)):
+        for value in values:
+            if not (np.isfinite(value) and value > 0.0):
+                raise ScenarioError(f"the {name} {value} is out of range: choose a finite one above 0")
     if len({path.parent.resolve() for path in arguments.policies}) != 1:
         raise ScenarioError("the policies lie in several folders: put them into one, their baselines lie beside them")
     if importlib.util.find_spec("sklearn") is None:
@@ -185,26 +189,40 @@ def _file(arguments: BaselinesArguments, method: str) -> Path:
     return arguments.policies[0].parent / f"{method}.safetensors"
 
 
-def _begun(file: Path, asked: StoredDetector) -> StoredDetector | None:
-    """What an earlier call left in `file`, if it was fitted to the same runs and calibrated the same way."""
+def _content(data: Path | None) -> str | None:
+    """The hash of the demonstrations; raises ScenarioError if there are none in the file."""
+    if data is None:
+        return None
+    try:
+        from models.dataset import DatasetError, read_header
+    except ModuleNotFoundError as absent:
+        raise ScenarioError(f"--data needs {absent.name}: pip install -e '.[train]'") from absent
+    try:
+        return read_header(data).content_hash
+    except DatasetError as error:
+        raise ScenarioError(str(error)) from error
+
+
+def _begun(file: Path, method: str, notes: dict[str, Any]) -> StoredDetector | None:
+    """What an earlier call left in `file`; raises ScenarioError if it was calibrated in another way: it is not written over."""
     if not file.exists():
         return None
-    found = load_detector(file, asked.method)
-    same = {name: found.metadata.get(name) for name in asked.metadata} == asked.metadata
-    arrays = [[*d.runs, *([] if d.axes is None else [d.axes])] for d in (found, asked)]
-    same = same and [a.shape for a in arrays[0]] == [a.shape for a in arrays[1]]
-    return found if same and all(np.allclose(a, b, atol=1e-6) for a, b in zip(*arrays, strict=True)) else None
+    found = load_detector(file, method)
+    others = [name for name, value in notes.items() if found.metadata.get(name) != value]
+    if others:
+        raise ScenarioError(
+            f"{file} was made with other {', '.join(others)} ({', '.join(str(found.metadata.get(name)) for name in others)}): "
+            "give the same, or delete the file to calibrate anew"
+        )
+    return found
 
 
 def _training_runs(arguments: BaselinesArguments, policies: dict[Path, Any]) -> list[np.ndarray]:
     """(T, J) rad each."""
     if arguments.data is not None:
-        from models.dataset import DatasetError, read_demonstrations
+        from models.dataset import read_demonstrations
 
-        try:
-            return [demo.posture[:, :ARM_JOINTS] for demo in read_demonstrations(arguments.data, "train")]
-        except DatasetError as error:
-            raise ScenarioError(str(error)) from error
+        return [demo.posture[:, :ARM_JOINTS] for demo in read_demonstrations(arguments.data, "train")]
     traces = [
         trace
         for path, policy in policies.items()
@@ -249,15 +267,21 @@ def _try(
 ) -> tuple[float, float, list[dict[str, float]]]:
     """The beta and gamma with most switching successes in closed loop, and how each did."""
     trials: list[dict[str, float]] = []
-    for beta, factor in itertools.product(arguments.betas, arguments.factors):
-        calibration = Calibration(tuple(mean.tolist()), beta, factor * gamma)
-        counts = dict.fromkeys(DISTURBANCES, arguments.trials)
-        outcomes = _run(arguments, path, policy, counts, digest_outcome, method=method, calibration=calibration)
-        successes = sum(o.switch_success for o in outcomes)
-        print(f"  beta {beta:g}, gamma {factor * gamma:.1f}: {successes} of {len(outcomes)} switched right", flush=True)
-        trials.append({"beta": beta, "gamma": factor * gamma, "successes": successes, "episodes": len(outcomes)})
-    best = max(trials, key=lambda trial: trial["successes"])
-    return best["beta"], best["gamma"], trials
+
+    def best(candidates: list[tuple[float, float]]) -> tuple[float, float]:
+        for beta, value in candidates:
+            calibration = Calibration(tuple(mean.tolist()), beta, value)
+            counts = dict.fromkeys(DISTURBANCES, arguments.trials)
+            outcomes = _run(arguments, path, policy, counts, digest_outcome, method=method, calibration=calibration)
+            successes = sum(o.switch_success for o in outcomes)
+            print(f"  beta {beta:g}, gamma {value:.1f}: {successes} of {len(outcomes)} switched right", flush=True)
+            trials.append({"beta": beta, "gamma": value, "successes": successes, "episodes": len(outcomes)})
+        found = max(trials, key=lambda trial: trial["successes"])
+        return found["beta"], found["gamma"]
+
+    first, *others = arguments.betas
+    _, gamma = best([(first, factor * gamma) for factor in arguments.factors])
+    return *best([(beta, gamma) for beta in others]), trials
 
 
 if __name__ == "__main__":

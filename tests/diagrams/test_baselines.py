@@ -117,17 +117,20 @@ def fitted(folder):
         patch.setattr(baselines, "run_jobs", run_jobs)
         arguments = BaselinesArguments(
             [folder / "lstm.safetensors"], encoder=folder / "cae.safetensors", fit_episodes=5, episodes=4, disturbed=3,
-            trials=2, factors=[1.0, 1e-3, 1e3],
+            trials=2, factors=[1.0, 1e-3, 1e3], betas=[30.0, 10.0],
         )  # fmt: skip
         assert baselines.main(arguments) == 0
         asked_once = list(asked)
-        # Again: what is there is kept; with other trials it is calibrated anew.
+        # Again: what is there is kept, and never written over by other trials; another network is added to the same fit.
         assert baselines.main(arguments) == 0
-        again = asked[len(asked_once) :]
-        assert [len(jobs) for _, _, jobs in again] == [5]  # the runs to fit from only
-        assert baselines.main(replace(arguments, method=["knn"], disturbed=2)) == 0
-        assert len(asked) == len(asked_once) + len(again) + 2 + 3
-        assert baselines.main(replace(arguments, method=["knn"])) == 0
+        with pytest.raises(ScenarioError, match=r"knn.safetensors was made with other disturbed \(3\)"):
+            baselines.main(replace(arguments, method=["knn"], disturbed=2))
+        assert asked == asked_once
+        save_untrained(folder / "other", gain=0.2)
+        (folder / "other" / "lstm.safetensors").rename(folder / "lstm-1.safetensors")
+        policies = [folder / "lstm.safetensors", folder / "lstm-1.safetensors"]
+        assert baselines.main(replace(arguments, policies=policies)) == 0
+        assert len(asked) == len(asked_once) + 1 + 2 * 4
     return asked_once
 
 
@@ -137,7 +140,8 @@ def test_files_hold_what_was_chosen(folder, fitted):
         stored = load_detector(folder / f"{method}.safetensors", method)
         notes = stored.metadata[policy.hash]
         successes = [trial["successes"] for trial in notes["trials"]]
-        assert len(successes) == 3
+        assert [(trial["beta"], len(successes)) for trial in notes["trials"][2:]] == [(30.0, 4), (10.0, 4)]
+        assert notes["trials"][3]["gamma"] == notes["trials"][int(np.argmax(successes[:3]))]["gamma"]
         chosen = stored_calibration(method, policy, folder)
         assert chosen.gamma == notes["trials"][int(np.argmax(successes))]["gamma"]
         assert (chosen.beta, len(chosen.reference_errors)) == (30.0, 7)
@@ -153,7 +157,7 @@ def test_nothing_is_tuned_on_evaluation_episodes(fitted):
     assert {job.seed // 1_000_000 for job in fits[2]} == {3}
     assert {job.seed // 1_000_000 for job in traces[2]} == {1}
     assert fits[1].gamma == traces[1].gamma == OFF
-    assert [name for name, _, _ in trials] == ["knn"] * 3 + ["subspace"] * 3
+    assert [name for name, _, _ in trials] == ["knn"] * 4 + ["subspace"] * 4
 
 
 def test_detectors_by_name(folder, fitted):
@@ -205,6 +209,8 @@ def test_what_is_missing_is_said(folder, tmp_path, fitted, monkeypatch):
     [
         ({"method": ["svm"]}, "no method 'svm'"),
         ({"factors": []}, "need one value"),
+        ({"factors": [float("nan")]}, "factor nan is out of range"),
+        ({"betas": [0.0]}, "beta 0.0 is out of range"),
         ({"policies": ["a/lstm.safetensors", "b/lstm.safetensors"]}, "several folders"),
         ({"data": "nowhere.h5"}, "nowhere.h5: the data set does not exist"),
     ],
