@@ -134,13 +134,16 @@ def main(arguments: BaselinesArguments) -> int:
     notes = {"data": _content(arguments.data)} | {
         name: getattr(arguments, name) for name in ("seed", "episodes", "disturbed", "trials", "factors", "betas")
     }
-    stored = {method: _begun(_file(arguments, method), method, notes) for method in arguments.method}
-    if not all(stored.values()):
-        kept = [detector.runs for detector in stored.values() if detector and detector.runs]
+    stored = {
+        method: found for method in arguments.method if (found := _begun(_file(arguments, method), method, notes))
+    }
+    new = [method for method in arguments.method if method not in stored]
+    if new:
+        kept = [detector.runs for detector in stored.values() if detector.runs]
         runs = kept[0] if kept else stored_as(_training_runs(arguments, policies))
         windows = posture_windows(runs)
         print(f"{windows.shape[1]} windows of {len(runs)} runs", flush=True)
-        for method in [method for method, found in stored.items() if not found]:
+        for method in new:
             fitted: dict[str, Any] = {"axes": leading_axes(windows)} if method == "subspace" else {"runs": runs}
             stored[method] = StoredDetector(method, metadata=dict(notes), **fitted)
             save_detector(_file(arguments, method), stored[method])  # what the trials run is what was stored

@@ -135,18 +135,18 @@ class Calibrator:
 def main(arguments: CalibrateArguments) -> int:
     """Writes `arguments.out`."""
     calibrator = Calibrator(arguments)
-    selection: dict[str, dict] = {}
+    selection: dict[Path, dict] = {}
     undisturbed = {}
     for policy in arguments.candidates:
         undisturbed[policy] = calibrator.run(policy, "none")
-        selection[policy.name] = {"none": _tally(policy, "none", undisturbed[policy])}
+        selection[policy] = {"none": _tally(policy, "none", undisturbed[policy])}
     most = max(entry["none"]["successes"] for entry in selection.values())
     if not most:
         raise ScenarioError(f"no candidate finished one of {arguments.episodes} tasks: train longer before calibrating")
     best: tuple[tuple[int, float], Path, Calibrated] | None = None
-    finalists = [policy for policy in undisturbed if selection[policy.name]["none"]["successes"] == most]
+    finalists = [policy for policy in undisturbed if selection[policy]["none"]["successes"] == most]
     for policy in finalists:
-        entry = selection[policy.name]
+        entry = selection[policy]
         calibrated = calibrator.calibrate(policy, undisturbed[policy])
         recoveries = 0
         if len(finalists) > 1:
@@ -162,7 +162,7 @@ def main(arguments: CalibrateArguments) -> int:
     stored = load_policy(chosen)
     notes = {
         "chosen": chosen.name,
-        "selection": selection,
+        "selection": {f"{policy.parent.name}/{policy.name}": entry for policy, entry in selection.items()},
         "validation_seed": calibrator.first_seed,
         "normal_peaks": calibrated.normal_peaks.tolist(),
         "disturbed_peaks": {kind: ratios.tolist() for kind, ratios in calibrated.disturbed_peaks.items()},

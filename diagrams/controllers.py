@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,6 +66,21 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     path = folder / f"{detector}.safetensors"
     found = calibration_of(path, load_detector(path, detector), policy.hash)
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
+
+
+def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
+    """Of what the baseline's file in `folder` says for that policy; calibrations of other policies, added later, leave it as it is.
+
+    Raises WeightsError for a file that is missing, damaged, or without a calibration for the policy.
+    """
+    from models.windows import calibration_of, load_detector
+
+    path = folder / f"{detector}.safetensors"
+    found = load_detector(path, detector)
+    digest = hashlib.sha256(json.dumps(calibration_of(path, found, policy_hash), sort_keys=True).encode())
+    for array in [*found.runs, *([] if found.axes is None else [found.axes])]:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def make_detector(detector: str, policy, folder: Path, calibration: Calibration | None = None) -> System:

@@ -214,7 +214,8 @@ class Rollout:
         record = Record(time=period * np.arange(k), squared_errors=np.array(squared), events=narrator.events, **arrays)
         outcome = self._outcome(episode, monitor, record, switching, success)
         if diverged and switching.failure in (None, "not disturbed"):
-            outcome.failure = "simulation diverged"
+            outcome.failure = outcome.switch_failure = "simulation diverged"
+            outcome.switch_success = False
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record

@@ -10,17 +10,18 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 
-from diagrams.controllers import policy_name, stored_calibration
+from diagrams.controllers import learned_hash, policy_name, stored_calibration
 from diagrams.draws import SEED_BLOCKS, SEEDS_APART, episode_seeds
 from diagrams.scenario import DETECTORS, DISTURBANCES, RNNS, WEIGHTS, ScenarioError
 from models.weights import WeightsError
@@ -41,6 +42,7 @@ class SweepArguments:
 
     episodes: int = 40  # of each combination
     seed: int = 0  # episode i has the same scene and disturbance under every controller
+    purpose: Literal["evaluation", "validation"] = "evaluation"  # whose scenes: remedies are chosen on validation
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn
     detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
@@ -74,6 +76,9 @@ def check(arguments: SweepArguments) -> None:
     ):
         if not least <= number <= most:
             raise ScenarioError(f"the {what} {number} is out of range: choose from {least} to {most}")
+    for gamma in arguments.gamma:
+        if not (math.isfinite(gamma) and gamma > 0.0):
+            raise ScenarioError(f"the gamma {gamma} is out of range: choose a finite one above 0")
     if not arguments.training_seeds:
         raise ScenarioError("no training seed is given: choose from 0 on")
 
@@ -91,26 +96,31 @@ def plan(arguments: SweepArguments) -> tuple[list[Task], WeightFiles]:
     load_autoencoder(folder / ENCODER)
     encoder_hash = file_hash(folder / ENCODER)
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
-    controllers = []
+    controllers, hashes = [], dict[str, str]()
     for rnn, training_seed in itertools.product(_unique(arguments.rnn), _unique(arguments.training_seeds)):
         name = policy_name(rnn, training_seed)
         names.add(name)
         policy = Policy(folder / name)
+        if policy.name != rnn:
+            raise WeightsError(folder / name, f"holds the network '{policy.name}', not '{rnn}'", "Give it its own name")
+        if policy.hash in hashes:
+            raise WeightsError(folder / name, f"is the same file as {hashes[policy.hash]}", "Give each seed its own")
+        hashes[policy.hash] = name
         if policy.encoder_hash != encoder_hash:
             raise WeightsError(folder / name, f"was trained with another autoencoder than {ENCODER}", "Give that one")
         for detector, gamma in itertools.product(_unique(arguments.detector), gammas):
             own = stored_calibration(detector, policy, folder, gamma)
-            detector_hash = None if detector == "recall" else file_hash(folder / f"{detector}.safetensors")
+            learned = None if detector == "recall" else learned_hash(folder, detector, policy.hash)
             calibration = None if gamma is None else own
-            controllers.append((rnn, training_seed, detector, gamma, policy.hash, detector_hash, calibration))
+            controllers.append((rnn, training_seed, detector, gamma, policy.hash, learned, calibration))
     files = WeightFiles({name: (folder / name).read_bytes() for name in names})
-    seeds = episode_seeds("evaluation", arguments.seed, arguments.episodes)
+    seeds = episode_seeds(arguments.purpose, arguments.seed, arguments.episodes)
     return [
         Task(
-            rnn, training_seed, detector, gamma, kind, seed, files.hash, policy_hash, encoder_hash, detector_hash, own,
+            rnn, training_seed, detector, gamma, kind, seed, files.hash, policy_hash, encoder_hash, learned, own,
             arguments.log,
         )
-        for rnn, training_seed, detector, gamma, policy_hash, detector_hash, own in controllers
+        for rnn, training_seed, detector, gamma, policy_hash, learned, own in controllers
         for kind in _unique(arguments.disturbance)
         for seed in seeds
     ], files  # fmt: skip
@@ -140,6 +150,8 @@ def connect(scheduler: str | None, workers: int) -> Iterator[Client]:
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.system-monitor.interval": "5s",
         "distributed.worker.memory.monitor-interval": "1s",
+        # One task at a time: whoever waits on a worker that dies is suspected with the one that runs.
+        "distributed.scheduler.worker-saturation": 1.0,
         "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     }
     with (

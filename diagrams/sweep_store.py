@@ -73,7 +73,7 @@ class EpisodeStore:
             if path.is_file():
                 try:
                     rows[key] = pq.ParquetFile(path).read().to_pylist()[0]
-                except (pa.ArrowInvalid, IndexError) as error:
+                except (pa.ArrowInvalid, OSError, IndexError) as error:
                     raise ScenarioError(
                         f"{path} is damaged ({error}): delete it, and its episode is run again"
                     ) from error

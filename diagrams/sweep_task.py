@@ -36,14 +36,14 @@ class Task:
     bundle: str  # hash of all files that the sweep sent
     weights_hash: str  # of the policy's file
     encoder_hash: str
-    detector_hash: str | None  # of a baseline's file
+    detector_hash: str | None  # of what a baseline learned and its calibration for this policy
     calibration: Calibration | None = None  # what gamma makes of the one in the files
     log: bool = False  # send the record along, see RECORD
 
     @property
     def key(self) -> str:
         """Says which episode it is; a file name without suffix."""
-        gamma = "own" if self.gamma is None else f"{self.gamma:g}"
+        gamma = "own" if self.gamma is None else repr(self.gamma)
         return f"{self.rnn}-{self.training_seed}-{self.detector}-{gamma}-{self.disturbance}-{self.seed}"
 
     def labels(self) -> dict[str, Any]:
@@ -54,8 +54,6 @@ class Task:
 class WeightFiles(WorkerPlugin):
     """Brings the weight files to every worker, wherever it runs and whenever it starts."""
 
-    name = "hindsight-weights"
-
     def __init__(self, files: dict[str, bytes]):
         """`files`: name to content."""
         self.files = files
@@ -63,6 +61,7 @@ class WeightFiles(WorkerPlugin):
         for name, content in sorted(files.items()):
             digest.update(name.encode() + b"\0" + hashlib.sha256(content).digest())
         self.hash = digest.hexdigest()
+        self.name = f"hindsight-{self.hash}"  # one that has another's name takes its place
 
     def setup(self, worker: DaskWorker) -> None:
         """Writes the files into the worker's scratch folder."""

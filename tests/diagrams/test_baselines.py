@@ -11,7 +11,15 @@ from untrained import save_untrained
 from diagrams import baselines, controllers
 from diagrams import rollout as rollout_module
 from diagrams.baselines import BaselinesArguments, Trace, best_gamma, calibrate, digest_trace, past_windows
-from diagrams.controllers import OFF, Calibration, Controller, make_detector, policy_name, stored_calibration
+from diagrams.controllers import (
+    OFF,
+    Calibration,
+    Controller,
+    learned_hash,
+    make_detector,
+    policy_name,
+    stored_calibration,
+)
 from diagrams.draws import SEED_BASE
 from diagrams.pick_place import parse
 from diagrams.scenario import ScenarioError, World
@@ -147,6 +155,17 @@ def test_files_hold_what_was_chosen(folder, fitted):
         assert (chosen.beta, len(chosen.reference_errors)) == (30.0, 7)
         assert min(notes["peaks"]["A"]) > max(notes["peaks"]["normal"])
     assert sum(map(len, load_detector(folder / "knn.safetensors", "knn").runs)) == 5 * 60
+
+
+def test_calibrations_of_other_networks_leave_the_hash_as_it_is(folder, fitted, tmp_path):
+    policy = Policy(folder / "lstm.safetensors")
+    stored = load_detector(folder / "knn.safetensors", "knn")
+    assert len(stored.calibrations) == 2
+    alone = replace(stored, calibrations={policy.hash: stored.calibrations[policy.hash]})
+    save_detector(tmp_path / "knn.safetensors", alone)
+    assert learned_hash(tmp_path, "knn", policy.hash) == learned_hash(folder, "knn", policy.hash)
+    save_detector(tmp_path / "knn.safetensors", replace(alone, runs=[run + 0.01 for run in alone.runs]))
+    assert learned_hash(tmp_path, "knn", policy.hash) != learned_hash(folder, "knn", policy.hash)
 
 
 def test_nothing_is_tuned_on_evaluation_episodes(fitted):

@@ -63,8 +63,8 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
     assert stored.gamma == pytest.approx(gamma)
     notes = stored.metadata["calibration"]
     assert notes["chosen"] == "policy-6000.safetensors"
-    assert notes["selection"]["policy-4000.safetensors"]["B"]["successes"] == 2
-    assert set(notes["selection"]["policy-2000.safetensors"]) == {"none"}
+    assert notes["selection"][f"{tmp_path.name}/policy-4000.safetensors"]["B"]["successes"] == 2
+    assert set(notes["selection"][f"{tmp_path.name}/policy-2000.safetensors"]) == {"none"}
     assert stored.metadata["training"] == {"seed": 0}
     seeds = {job.seed for _, job, _ in asked}
     assert all(SEED_BASE["validation"] <= seed < SEED_BASE["evaluation"] for seed in seeds)

@@ -210,6 +210,29 @@ def test_a_network_that_does_nothing_has_stalled(rollout, policy, encoder, monke
     assert run.words()[-1] == "time is up"
 
 
+class Diverging:
+    """A simulator whose physics ends after a second."""
+
+    def __init__(self, simulator):
+        self._simulator = simulator
+
+    def __getattr__(self, name):
+        return getattr(self._simulator, name)
+
+    def AdvanceTo(self, seconds):
+        if seconds > 1.0:
+            raise RuntimeError("a non-finite number")
+        return self._simulator.AdvanceTo(seconds)
+
+
+def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkeypatch):
+    monkeypatch.setattr(rollout, "simulator", Diverging(rollout.simulator))
+    run = Run(rollout, policy, encoder, Episode(0, CAN, "left"))
+    assert (run.outcome.success, run.outcome.switch_success) == (False, False)
+    assert run.outcome.failure == run.outcome.switch_failure == "simulation diverged"
+    assert len(run.record.time) == 10
+
+
 def test_no_disturbance_came(rollout, policy, encoder, monkeypatch):
     """The moment never comes within the time: said, and not a success of the switching."""
     monkeypatch.setattr(rollout_module, "TIME_LIMIT", 2.0)

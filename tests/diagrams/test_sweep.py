@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from untrained import save_untrained
 
 from diagrams import rollout as rollout_module
 from diagrams import sweep, sweep_task
-from diagrams.draws import SEED_BASE
+from diagrams.draws import SEED_BASE, SEEDS_APART
 from diagrams.records import find_records, load_record
 from diagrams.scenario import ROOT, ScenarioError
 from diagrams.sweep import SweepArguments, connect, execute
@@ -152,6 +153,24 @@ def test_other_weights_do_not_mix(tmp_path, weights, cluster, monkeypatch):
         run(cluster, others, tmp_path / "out")
 
 
+def test_remedies_are_compared_on_validation_scenes(tmp_path, weights, cluster, monkeypatch):
+    monkeypatch.setattr(sweep, "run_task", sweep_fakes.outcome_row)
+    assert run(cluster, weights, tmp_path, purpose="validation", seed=1) == 0
+    seeds = {row["seed"] for row in pq.read_table(tmp_path / "episodes.parquet").to_pylist()}
+    assert seeds == {SEED_BASE["validation"] + SEEDS_APART + i for i in range(6)}
+
+
+def test_a_file_under_another_name_is_no_other_network(tmp_path, weights):
+    for name in ("cae", "lstm"):
+        shutil.copy(weights / f"{name}.safetensors", tmp_path)
+    for name in ("gru", "lstm-1"):
+        shutil.copy(weights / "lstm.safetensors", tmp_path / f"{name}.safetensors")
+    with pytest.raises(WeightsError, match=r"gru.safetensors.*holds the network 'lstm', not 'gru'"):
+        sweep.main(SweepArguments(weights=tmp_path, rnn=["gru"], out=tmp_path / "out"))
+    with pytest.raises(WeightsError, match=r"lstm-1.safetensors.*is the same file as lstm.safetensors"):
+        sweep.main(SweepArguments(weights=tmp_path, training_seeds=[0, 1], out=tmp_path / "out"))
+
+
 def test_dead_workers_are_replaced(tmp_path):
     tasks = [make_task(seed, weights_hash=str(tmp_path)) for seed in range(8)]
     with dask.config.set({"distributed.scheduler.allowed-failures": 1}), connect(None, 1) as client:
@@ -159,7 +178,9 @@ def test_dead_workers_are_replaced(tmp_path):
         assert {path.name for path in tmp_path.iterdir()} == {tasks[5].key}
         assert sorted(found) == list(range(1, 8))
         assert all(row["error"] is None for row in found.values())
-        found = {task.seed: row for task, row in execute(client, sweep_fakes.deadly_task, tasks[:1])}
+        # Who stands behind a task that kills every worker is not taken for one that does.
+        found = {task.seed: row for task, row in execute(client, sweep_fakes.deadly_task, tasks)}
+        assert [seed for seed, row in sorted(found.items()) if row["error"] is not None] == [0]
         assert "KilledWorker" in found[0]["error"]
 
 
@@ -218,6 +239,8 @@ def test_keys_tell_all_episodes_apart():
         ({"disturbance": ["none", "C"]}, ScenarioError, "no disturbance 'C'"),
         ({"episodes": 0}, ScenarioError, "number of episodes 0.*from 1"),
         ({"seed": -1}, ScenarioError, "seed -1"),
+        ({"gamma": [3.0, float("nan")]}, ScenarioError, "gamma nan is out of range"),
+        ({"gamma": [0.0]}, ScenarioError, "gamma 0.0 is out of range"),
         ({"workers": 0}, ScenarioError, "number of workers 0"),
         ({"training_seeds": [-1]}, ScenarioError, "training seed -1"),
         ({"training_seeds": []}, ScenarioError, "no training seed"),

@@ -41,7 +41,7 @@ def frame(rnn, flags, detector="recall", gamma=None, training_seed=0, disturbanc
             "disturbance": disturbance, "training_seed": training_seed, "seed": np.arange(n), "success": flags,
             "switch_success": flags, "failure": [None if f else "stalled" for f in flags],
             "switch_failure": [None if f else "not resumed" for f in flags], "error": None,
-            "detection_delay_s": 0.2, "return_s": np.linspace(1.0, 3.0, n), "resume_s": np.full(n, np.nan),
+            "false_switches": 0, "detection_delay_s": 0.2, "return_s": np.linspace(1.0, 3.0, n), "resume_s": np.full(n, np.nan),
             "sim_seconds": 40.0, "realtime_factor": 5.0,
         }
     )  # fmt: skip
@@ -65,6 +65,25 @@ def test_cells_pool_the_training_seeds_and_nothing_else():
     assert found[0]["switching"]["failures"] == {"not resumed": 3}
     assert found[0]["return_s"]["median"] == pytest.approx(2.0)
     assert found[0]["resume_s"] is None
+
+
+def test_false_alarms_under_way_at_the_onset_are_no_fast_detections():
+    rows = frame("lstm", [1, 1, 1, 0])
+    rows.loc[3, ["false_switches", "detection_delay_s"]] = [1, 0.0]
+    assert cells(rows)[0]["detection_delay_s"] == {"median": 0.2, "p95": 0.2, "n": 3}
+
+
+def test_scenes_that_recur_under_every_training_seed_count_once():
+    # Scenes 0 to 5 are lost by the second under both training seeds, scene 6 is won by it once; scene 7 is a draw.
+    first = [frame("lstm", [1] * 6 + [0, 1], training_seed=s) for s in (0, 1)]
+    second = [
+        frame("lstm", [0] * 6 + [won, drawn], detector="knn", training_seed=s)
+        for s, won, drawn in ((0, 1, 1), (1, 0, 1))
+    ]
+    found = comparisons(pd.concat(first + second))[0]
+    assert (found["only_a"], found["only_b"]) == (12, 1)
+    assert (found["scenes_a"], found["scenes_b"]) == (6, 1)
+    assert found["p_scenes"] == pytest.approx(16 / 128)  # 2 (1 + 7) / 2^7, by hand
 
 
 def test_comparison_is_mcnemars_exact_test_on_the_pairs():
