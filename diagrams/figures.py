@@ -1,10 +1,12 @@
 """Figures 4 to 7 of the paper, and switching success against gamma.
 
     python diagrams/figures.py --out outputs/figures --sweep outputs/sweep
+    python diagrams/figures.py --out outputs/figures --record outputs/sweep/records/lstm-0-recall-own-B-2070000.npz
 
 Figs. 5 to 7 need every tick: the episodes are run again, and come out as in the sweep, to the bit. With --sweep they are the first ones in
-which all went well; without it the first ones of --seed. Fig. 4 is drawn from the weight files, the curve of gamma from a sweep with several
-values of --gamma. Exit code 2: bad input.
+which all went well; without it the first ones of --seed. From --record, one or several, Figs. 5 and 7 are drawn as they are; for the pictures
+of Fig. 6 the episode is run again. Fig. 4 is drawn from the weight files, the curve of gamma from a sweep with several values of --gamma.
+Exit code 2: bad input.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +24,7 @@ import tyro
 from diagrams.controllers import policy_name
 from diagrams.draws import EpisodeDraws, episode_seeds
 from diagrams.episode import Episode, Outcome
+from diagrams.records import digest, load_record
 from diagrams.rollout import Record, Rollout
 from diagrams.scenario import DISTURBANCES, RNNS, WEIGHTS, ScenarioError, World
 from models.weights import WeightsError, load_autoencoder
@@ -41,9 +44,10 @@ class FiguresArguments:
 
     out: Path = Path("outputs/figures")
     sweep: Path | None = None  # folder of a sweep
+    record: list[Path] = field(default_factory=list)  # of pick_place.py --log or sweep.py --log, one a disturbance
     rnn: str = "lstm"  # of Figs. 5 to 7
     training_seed: int = 0
-    seed: int = 0  # of the episodes, without --sweep
+    seed: int = 0  # of the episodes, without --sweep and --record
     weights: Path = WEIGHTS
 
 
@@ -78,7 +82,43 @@ def read_sweep(folder: Path) -> pd.DataFrame:
     path = folder / "episodes.parquet"
     if not path.is_file():
         raise ScenarioError(f"{path} does not exist: run diagrams/sweep.py with --out {folder}, to its end")
-    return pd.read_parquet(path)
+    try:
+        return pd.read_parquet(path)
+    except (OSError, ValueError) as error:  # pyarrow's errors are ValueErrors
+        raise ScenarioError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
+
+
+def read_records(paths: list[Path], rnn: str, weights_hash: str) -> dict[str, tuple[Record, dict]]:
+    """By the disturbance, records and outcomes; raises ScenarioError for two of one disturbance and for a run of another network or detector."""
+    found: dict[str, tuple[Record, dict]] = {}
+    for path in paths:
+        record, outcome = load_record(path)
+        if outcome["weights_hash"] != weights_hash or outcome["detector"] != "recall":
+            raise ScenarioError(
+                f"{path} is a run of other weights than {rnn}'s, or of another detector than the recall: "
+                "give --weights, --rnn and --training-seed of that run"
+            )
+        if outcome["disturbance"] in found:
+            raise ScenarioError(f"{path} is a second record of disturbance {outcome['disturbance']}: give one of each")
+        found[outcome["disturbance"]] = record, outcome
+    return found
+
+
+def require_same(outcome: Outcome, rows: pd.DataFrame) -> None:
+    """Raises ScenarioError unless the episode came out as in the sweep's row of the same weights."""
+    row = rows[
+        (rows["seed"] == outcome.seed)
+        & (rows["disturbance"] == outcome.disturbance)
+        & (rows["weights_hash"] == outcome.weights_hash)
+        & (rows["detector"] == outcome.detector)
+        & rows["gamma"].isna()
+    ]
+    fields = ("success", "switch_success", "sim_seconds", "alpha_max_before")
+    if row.empty or any(row.iloc[0][name] != getattr(outcome, name) for name in fields):
+        raise ScenarioError(
+            f"episode {outcome.seed} under disturbance {outcome.disturbance} does not come out as in the sweep: "
+            "give --weights of the sweep, and the version of this program that made it"
+        )
 
 
 def choose(kind: str, rows: pd.DataFrame | None, arguments: FiguresArguments, draws: EpisodeDraws) -> Episode:
@@ -228,7 +268,10 @@ def main(arguments: FiguresArguments) -> int:
     encoder_path = arguments.weights / "cae.safetensors"
     encoder, decoder = Encoder(encoder_path), load_autoencoder(encoder_path)[0]
     policy = Policy(arguments.weights / policy_name(arguments.rnn, arguments.training_seed))
+    if arguments.sweep is not None and arguments.record:
+        raise ScenarioError("both --sweep and --record are given: choose one")
     rows = None if arguments.sweep is None else read_sweep(arguments.sweep)
+    given = read_records(arguments.record, arguments.rnn, policy.hash)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -241,19 +284,36 @@ def main(arguments: FiguresArguments) -> int:
         notes["recall_loss"] = {name: values.tolist() for name, values in losses.items()}
 
     draws, rollout = EpisodeDraws(world), Rollout(world, encoder, policy)
-    episodes = {kind: choose(kind, rows, arguments, draws) for kind in DISTURBANCES}
-    runs = {kind: run(rollout, episode) for kind, episode in episodes.items()}
-    for kind, (outcome, _, _) in runs.items():
-        word = "done" if outcome.success else f"failed ({outcome.failure})"
-        print(f"disturbance {kind}: episode {outcome.seed}, task {word}", flush=True)
-    notes["episodes"] = {kind: outcome.to_dict() for kind, (outcome, _, _) in runs.items()}
-    records = {kind: record for kind, (_, record, _) in runs.items()}
+    records = {kind: record for kind, (record, _) in given.items()}
+    notes["episodes"] = {kind: outcome for kind, (_, outcome) in given.items()}
+    looks: dict[str, Looks] = {}
+    if given:
+        # Pictures are in no record.
+        shown = "B" if "B" in given else list(given)[-1]
+        record, was = given[shown]
+        episode = draws.draw(was["seed"], shown, tuple(was["can_xy"]), was["vacant"], rnn=arguments.rnn)
+        _, again, seen = run(rollout, episode)
+        if digest(again) == digest(record):
+            looks[shown] = seen
+        else:
+            print("Fig. 6: the record does not come out again from its seed (a --scenario of its own?): left out")
+    else:
+        for kind, episode in {kind: choose(kind, rows, arguments, draws) for kind in DISTURBANCES}.items():
+            outcome, records[kind], looks[kind] = run(rollout, episode)
+            if rows is not None:
+                require_same(outcome, rows)
+            notes["episodes"][kind] = outcome.to_dict()
+    for kind, outcome in notes["episodes"].items():
+        word = "done" if outcome["success"] else f"failed ({outcome['failure']})"
+        print(f"disturbance {kind}: episode {outcome['seed']}, task {word}", flush=True)
     plots.save_sequences(records, out / "fig5_sequences.png")
-    columns = reconstructions(records["B"], runs["B"][2], encoder, decoder)
-    plots.save_reconstructions(columns, PICTURES, out / "fig6_reconstructions.png")
-    states, origin, ratios = principal_states(
-        {"no disturbance": records["none"], "disturbance B": records["B"]}, world
-    )  # fmt: skip
+    if looks:
+        shown = list(looks)[-1]
+        columns = reconstructions(records[shown], looks[shown], encoder, decoder)
+        plots.save_reconstructions(columns, PICTURES, out / "fig6_reconstructions.png")
+    titles = {"none": "no disturbance", "A": "disturbance A", "B": "disturbance B"}
+    compared = {titles[kind]: record for kind, record in records.items() if given or kind != "A"}
+    states, origin, ratios = principal_states(compared, world)
     plots.save_states(states, origin, ratios, out / "fig7_states.png")
     notes["contribution_ratios"] = ratios.tolist()
     print(

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from diagrams.rollout import Record, Rollout
 
 
+KEPT = 2  # diagrams a process keeps, each with a renderer
+
+
 @dataclass(frozen=True)
 class Job:
     """One episode to draw and to run."""
@@ -66,6 +69,8 @@ class Worker:
         from models.inference import Policy
 
         if controller not in self._rollouts:
+            while len(self._rollouts) >= KEPT:
+                del self._rollouts[next(iter(self._rollouts))]  # the oldest: a sweep goes controller by controller
             policy = Policy(controller.policy)
             detector = make_detector(
                 controller.detector, policy, controller.policy.parent, calibration=controller.calibration

@@ -12,10 +12,13 @@ from untrained import save_untrained
 
 from diagrams import figures, plots
 from diagrams import rollout as rollout_module
+from diagrams.controllers import Controller
 from diagrams.draws import SEED_BASE
 from diagrams.episode import Episode
 from diagrams.figures import FiguresArguments, Looks
+from diagrams.records import save_record
 from diagrams.scenario import ScenarioError, World
+from diagrams.workers import Job, Worker
 from models.cae import ConvolutionalAutoencoder
 from models.weights import WeightsError
 
@@ -147,16 +150,58 @@ def test_all_of_it_on_untrained_networks(tmp_path, weights, monkeypatch, capsys)
     assert "its curve is left out" in capsys.readouterr().out
 
 
+def test_from_records(tmp_path, weights, monkeypatch, capsys):
+    """Of one that comes out again to the bit, all figures; of one that does not, those that need no pictures."""
+    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 1.5)
+    worker, controller = Worker(World(), weights / "cae.safetensors"), Controller(weights / "lstm.safetensors")
+    paths = [tmp_path / f"{kind}.npz" for kind in ("none", "B")]
+    for path in paths:
+        outcome, record = worker.run(Job(5, path.stem, log=path), controller)
+    common = {"weights": weights, "out": tmp_path / "out"}
+    assert figures.main(FiguresArguments(record=paths, **common)) == 0
+    names = {path.name for path in (tmp_path / "out").glob("*.png")}
+    assert names == {"fig4_recall_loss.png", "fig5_sequences.png", "fig6_reconstructions.png", "fig7_states.png"}
+
+    record.posture[3] += 1e-6
+    save_record(paths[1], record, outcome)
+    assert figures.main(FiguresArguments(record=paths[1:], **(common | {"out": tmp_path / "other"}))) == 0
+    assert "does not come out again" in capsys.readouterr().out
+    assert not (tmp_path / "other" / "fig6_reconstructions.png").exists()
+
+    with pytest.raises(ScenarioError, match="second record of disturbance B"):
+        figures.main(FiguresArguments(record=[paths[1], paths[1]], **common))
+    outcome.weights_hash = "another"
+    save_record(paths[1], record, outcome)
+    with pytest.raises(ScenarioError, match=r"B.npz is a run of other weights than lstm's"):
+        figures.main(FiguresArguments(record=paths, **common))
+
+
+def test_a_sweep_is_not_drawn_as_what_it_was_not(tmp_path, weights, monkeypatch):
+    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 1.5)
+    outcome, _ = Worker(World(), weights / "cae.safetensors").run(
+        Job(5, "none"), Controller(weights / "lstm.safetensors")
+    )
+    row = pd.DataFrame([outcome.to_dict() | {"gamma": np.nan}])
+    figures.require_same(outcome, row)
+    for changed in ({"weights_hash": "another"}, {"success": True}, {"alpha_max_before": 0.5}):
+        with pytest.raises(ScenarioError, match="episode 5 under disturbance none does not come out as in the sweep"):
+            figures.require_same(outcome, row.assign(**changed))
+
+
 @pytest.mark.parametrize(
     ("changes", "error", "named"),
     [
         ({"rnn": "rnn"}, ScenarioError, "no rnn 'rnn'"),
         ({"rnn": "gru"}, WeightsError, "gru.safetensors"),
         ({"sweep": "nowhere"}, ScenarioError, "episodes.parquet does not exist: run diagrams/sweep.py"),
+        ({"sweep": "damaged"}, ScenarioError, "episodes.parquet is damaged"),
         ({"out": "/dev/null/out"}, ScenarioError, "cannot be written"),
     ],
 )
-def test_bad_input_is_refused(tmp_path, weights, changes, error, named):
+def test_bad_input_is_refused(tmp_path, weights, changes, error, named, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("damaged").mkdir()
+    Path("damaged/episodes.parquet").write_bytes(b"PAR1 but no more")
     paths = {name: Path(value) if name != "rnn" else value for name, value in changes.items()}
     with pytest.raises(error, match=named):
         figures.main(FiguresArguments(**({"weights": weights, "out": tmp_path} | paths)))
