@@ -41,7 +41,7 @@ class SweepArguments:
     """Every combination of the options that take several values is run, on the same episodes."""
 
     episodes: int = 40  # of each combination
-    seed: int = 0  # episode i has the same scene and disturbance under every controller; README: which have been looked at
+    seed: int = 0  # episode i has the same scene and disturbance under every controller
     purpose: Literal["evaluation", "validation"] = "evaluation"  # whose scenes: remedies are chosen on validation
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn
     detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace
