@@ -26,7 +26,7 @@ import tyro
 
 from diagrams.controllers import Calibration, make_window_detector, never_fires
 from diagrams.draws import episode_seeds
-from diagrams.episode import Outcome
+from diagrams.episode import Outcome, Until
 from diagrams.rollout import Record
 from diagrams.scenario import DISTURBANCES, WEIGHTS, ScenarioError, World
 from diagrams.station import ARM_JOINTS
@@ -67,7 +67,7 @@ class Trace:
     """What the arm did in one run: angles (ticks, 7) rad; the ticks before the onset, and from it to the end of the disturbance + 5."""
 
     kind: str
-    success: bool
+    success: bool | None  # None: not asked for
     angles: np.ndarray
     before: slice
     after: slice
@@ -250,13 +250,19 @@ def _run(
     method: str = "recall",
     calibration: Calibration | None = None,
 ) -> list[Any]:
-    """Runs so many episodes of each kind of disturbance, by default with the detector off; their digests in the order of the seeds."""
+    """Runs so many episodes of each kind of disturbance, by default with the detector off; their digests in the order of the seeds.
+
+    Each run ends as soon as it has shown what is asked of it.
+    """
     from tqdm import tqdm
 
+    # Without a detector: whether the undisturbed task is done, and the joints up to the disturbance's end.
+    ends: dict[str, Until] = dict.fromkeys(DISTURBANCES, "switching")
     if calibration is None:
         calibration = never_fires(policy.horizon + 1)
+        ends = {kind: "task" if kind == "none" else "detection" for kind in DISTURBANCES}
     seeds = episode_seeds(purpose, arguments.seed, max(counts.values()))
-    jobs = [Job(seed, kind, policy.name) for kind, count in counts.items() for seed in seeds[:count]]
+    jobs = [Job(seed, kind, policy.name, ends[kind]) for kind, count in counts.items() for seed in seeds[:count]]
     done = run_jobs(
         World(), arguments.encoder, path, jobs, workers=arguments.workers, calibration=calibration, detector=method,
         digest=digest,

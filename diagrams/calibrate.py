@@ -20,6 +20,7 @@ import tyro
 
 from diagrams.controllers import Calibration, never_fires
 from diagrams.draws import episode_seeds
+from diagrams.episode import Until
 from diagrams.scenario import WEIGHTS, ScenarioError, World
 from diagrams.workers import Job, Result, run_jobs
 from models.weights import WeightsError, load_policy, save_policy
@@ -93,7 +94,7 @@ class Calibrator:
         self.first_seed = self._seeds[0]
 
     def run(
-        self, policy: Path, kind: str, calibration: Calibration | None = None, detection_only: bool = False
+        self, policy: Path, kind: str, calibration: Calibration | None = None, until: Until = "task"
     ) -> list[Result]:
         """Episodes of one kind in the order of their seeds; without a calibration the detector is off."""
         from tqdm import tqdm
@@ -102,7 +103,7 @@ class Calibrator:
 
         network = Policy(policy)
         count = self.arguments.episodes if kind == "none" else self.arguments.disturbed
-        jobs = [Job(seed, kind, network.name, detection_only) for seed in self._seeds[:count]]
+        jobs = [Job(seed, kind, network.name, until) for seed in self._seeds[:count]]
         calibration = calibration or never_fires(network.horizon + 1)
         runs = run_jobs(
             self.world, self.arguments.encoder, policy, jobs, workers=self.arguments.workers, calibration=calibration
@@ -121,7 +122,7 @@ class Calibrator:
         )
         reached = {}
         for kind in ("A", "B"):
-            found = [r.peak_disturbed for r in self.run(policy, kind, detection_only=True)]
+            found = [r.peak_disturbed for r in self.run(policy, kind, until="detection")]
             ratios = reached[kind] = np.array([np.max(p / reference_errors) for p in found if p is not None])
             print(
                 f"  disturbance {kind}: ratios reach {np.sort(ratios)[:4].round(1)} (smallest), {np.median(ratios):.0f} (median)"
@@ -186,7 +187,7 @@ def main(arguments: CalibrateArguments) -> int:
 def _tally(policy: Path, kind: str, results: list[Result]) -> dict:
     outcomes = [r.outcome for r in results]
     tally = {
-        "successes": sum(o.success for o in outcomes),
+        "successes": sum(bool(o.success) for o in outcomes),
         "switching": sum(o.switch_success for o in outcomes),
         "episodes": len(outcomes),
         "mean_seconds": float(np.mean([o.sim_seconds for o in outcomes])),

@@ -5,12 +5,15 @@ Task success: the can stands on the vacant spot, upright, released; the other ca
 posture); without that, the disturbance alone.
 Switching success, disturbed: alpha < 0.5 at every tick before the onset; alpha >= 0.9 before the end of the disturbance + 5 ticks; from then
 on alpha >= 0.5 until the arm is at its initial posture; alpha <= 0.1 within 6 s after that. Undisturbed: alpha < 0.5 throughout.
+Beside it, for the comparison with the paper, whose words ask for less: alpha >= 0.9 as above, and the arm at its initial posture at some later
+tick, whoever led it there and whatever alpha was meanwhile, with alpha <= 0.1 within 6 s after that tick. Undisturbed: as above.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -25,6 +28,9 @@ TIME_LIMIT = 60.0  # s, plus the time disturbed
 FALSE_ALARM, DETECTED, RESUMED = 0.5, 0.9, 0.1  # values of alpha
 DETECTION_TICKS = 5  # after the end of the disturbance
 RESUME_SECONDS = 6.0  # after the arm is at its initial posture
+
+# When a run ends before its time is up: with the task done; or as soon as the switching's success is decided, or the detection's.
+Until = Literal["task", "switching", "detection"]
 
 FAILURES = (
     "false switch", "not disturbed", "not detected", "not returned", "not resumed",
@@ -69,13 +75,14 @@ class Outcome:
     picked: bool
     placed: bool
     home: bool
-    success: bool
+    success: bool | None  # None: not asked for, see Until
     switched: bool
     detection_delay_s: float | None
     false_switches: int
     returned: bool | None
     resumed: bool | None
     switch_success: bool
+    paper_switch_success: bool | None  # in the paper's words; None: not asked for
     alpha_max_before: float
     return_s: float | None  # from the end of the disturbance to the initial posture
     resume_s: float | None  # from the initial posture to alpha <= 0.1
@@ -148,6 +155,8 @@ class Switching:
     false_switches: int
     alpha_max_before: float
     failure: str | None
+    as_in_paper: bool  # success in the paper's words
+    decided: bool  # no later tick can change `failure`
 
     @classmethod
     def of(
@@ -158,19 +167,25 @@ class Switching:
         if not disturbed or not active.any():
             crossings = int(np.count_nonzero(np.diff(high.astype(int), prepend=0) > 0))
             failure = "false switch" if crossings else ("not disturbed" if disturbed else None)
-            return cls(None, None, None, None, None, crossings, float(alpha.max(initial=0.0)), failure)
+            return cls(
+                None, None, None, None, None, crossings, float(alpha.max(initial=0.0)), failure,
+                as_in_paper=failure is None, decided=crossings > 0,
+            )  # fmt: skip
         onset = int(np.argmax(active))
         end = onset + int(np.count_nonzero(active))
         before = high[:onset]
         crossings = int(np.count_nonzero(np.diff(before.astype(int), prepend=0) > 0))
         detected = _first(alpha >= DETECTED, onset, end + DETECTION_TICKS)
-        home = resumed = None
+        home = resumed = let_go = None
+        as_in_paper, patience = False, round(RESUME_SECONDS / period) + 1
         if detected is not None:
             start = max(detected, end)
             let_go = _first(~high, start, len(alpha))
             home = _first(at_home, start, len(alpha) if let_go is None else let_go)
             if home is not None:
-                resumed = _first(alpha <= RESUMED, home, home + round(RESUME_SECONDS / period) + 1)
+                resumed = _first(alpha <= RESUMED, home, home + patience)
+            homes, low = np.flatnonzero(at_home[start:]) + start, np.append(np.flatnonzero(alpha <= RESUMED), np.inf)
+            as_in_paper = bool(np.any(low[np.searchsorted(low, homes)] < homes + patience))
         failure = (
             "false switch" if crossings
             else "not detected" if detected is None
@@ -178,7 +193,26 @@ class Switching:
             else "not resumed" if resumed is None
             else None
         )  # fmt: skip
-        return cls(onset, end, detected, home, resumed, crossings, float(alpha[:onset].max(initial=0.0)), failure)
+        decided = bool(crossings) or (
+            not active[-1]
+            and (
+                len(alpha) >= end + DETECTION_TICKS if detected is None
+                else let_go is not None if home is None
+                else resumed is not None or len(alpha) >= home + patience
+            )
+        )  # fmt: skip
+        return cls(
+            onset,
+            end,
+            detected,
+            home,
+            resumed,
+            crossings,
+            float(alpha[:onset].max(initial=0.0)),
+            failure,
+            as_in_paper,
+            decided,
+        )
 
     @property
     def ticks_disturbed(self) -> int:

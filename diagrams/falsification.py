@@ -49,7 +49,7 @@ class Trial:
             before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
             moved = float(np.rad2deg(np.linalg.norm(np.array(disturbance.target_joints) - before)))
         return cls(
-            push, disturbance, failure, outcome.switch_failure, outcome.success, objective, outcome.detection_delay_s,
+            push, disturbance, failure, outcome.switch_failure, bool(outcome.success), objective, outcome.detection_delay_s,
             moved, digest(record),
         )  # fmt: skip
 

@@ -132,6 +132,7 @@ def choose(kind: str, rows: pd.DataFrame | None, arguments: FiguresArguments, dr
             & (rows["detector"] == "recall")
             & (rows["disturbance"] == kind)
             & rows["gamma"].isna()
+            & rows["success"].notna()
         ]
         if mine.empty:
             raise ScenarioError(

@@ -12,6 +12,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from diagrams.episode import (
+    DETECTION_TICKS,
     FALSE_ALARM,
     LIFTED,
     RESUMED,
@@ -21,6 +22,7 @@ from diagrams.episode import (
     Outcome,
     Switching,
     TaskMonitor,
+    Until,
     tilt,
 )
 from diagrams.scenario import SPOTS, ScenarioError, World
@@ -137,9 +139,9 @@ class Rollout:
         episode: Episode,
         on_event: Callable[[float, str], None] | None = None,
         on_tick: Callable[[int], None] | None = None,
-        ticks_after: int | None = None,
+        until: Until = "task",
     ) -> tuple[Outcome, Record]:
-        """Runs `episode` to success or to its time limit, or until `ticks_after` ticks after its disturbance."""
+        """Runs `episode` to success or to its time limit, or to what `until` says; its ticks are those of the whole run."""
         started = time.perf_counter()
         monitor = self.prepare(episode)
         period = self.world.timing.period
@@ -151,12 +153,12 @@ class Rollout:
         logs: dict[str, list] = {name: [] for name in names}
         squared: list[np.ndarray] = []
         narrator = _Narrator(monitor, CAN_HALF_HEIGHT, on_event)
-        size, success, taken, diverged = self.policy.posture_size, False, False, False
+        size, success, taken, diverged, cut = self.policy.posture_size, False, False, False, False
         scaling, k = self.policy.scaling, 0
         disturbed = episode.disturbance.kind != "none"
         limit = round(TIME_LIMIT / period)
         extra, switching = 0, None
-        while k < limit + extra and not success:
+        while k < limit + extra and not success and not cut:
             get = self.controller.GetOutputPort
             try:
                 # At the tick, before its update: the features that the update will use, from one rendering for both.
@@ -197,25 +199,32 @@ class Rollout:
                 extra = switching.ticks_disturbed
             success = monitor.success(cans, posture) and not active
             k += 1
-            if (
-                ticks_after is not None
-                and any(rows["active"][:-ticks_after])
-                and not any(rows["active"][-ticks_after:])
-            ):
-                break
+            if until == "switching":
+                cut = self._switching(rows, disturbed).decided
+            elif until == "detection":
+                cut = any(rows["active"][:-DETECTION_TICKS]) and not any(rows["active"][-DETECTION_TICKS:])
             if on_tick is not None:
                 on_tick(k)
         switching = self._switching(rows, disturbed)
         narrator.say(
-            (k - 1) * period, "task done" if success else "the simulation diverged" if diverged else "time is up"
+            (k - 1) * period,
+            "task done"
+            if success
+            else "the simulation diverged"
+            if diverged
+            else f"{until} decided"
+            if cut
+            else "time is up",
         )
         arrays = {name: np.array(values) for name, values in {**rows, **logs}.items()}
         arrays.pop("at_home")
         record = Record(time=period * np.arange(k), squared_errors=np.array(squared), events=narrator.events, **arrays)
         outcome = self._outcome(episode, monitor, record, switching, success)
+        if until != "task":
+            outcome.success = outcome.failure = outcome.paper_switch_success = None
         if diverged and switching.failure in (None, "not disturbed"):
             outcome.failure = outcome.switch_failure = "simulation diverged"
-            outcome.switch_success = False
+            outcome.switch_success = outcome.paper_switch_success = False
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
@@ -249,6 +258,7 @@ class Rollout:
             returned=switching.home is not None if disturbed else None,
             resumed=switching.resumed is not None if disturbed else None,
             switch_success=switching.failure is None,
+            paper_switch_success=switching.as_in_paper,
             alpha_max_before=switching.alpha_max_before,
             return_s=seconds(switching.end, switching.home),
             resume_s=seconds(switching.home, switching.resumed),

@@ -47,6 +47,9 @@ class SweepArguments:
     detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.safetensors, 1 is lstm-1.safetensors
+    until: Literal["task", "switching"] = (
+        "task"  # switching: an episode ends once that is decided, its task is not judged
+    )
     gamma: list[float] = field(default_factory=list)  # of the paper's rule (there 3, times mean errors), not calibrated
     workers: int = os.cpu_count() or 1  # processes of this machine
     scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
@@ -79,6 +82,8 @@ def check(arguments: SweepArguments) -> None:
     for gamma in arguments.gamma:
         if not (math.isfinite(gamma) and gamma > 0.0):
             raise ScenarioError(f"the gamma {gamma} is out of range: choose a finite one above 0")
+    if arguments.log and arguments.until != "task":
+        raise ScenarioError("--log keeps whole episodes, which --until switching cuts short: leave one of them out")
     if not arguments.training_seeds:
         raise ScenarioError("no training seed is given: choose from 0 on")
 
@@ -118,7 +123,7 @@ def plan(arguments: SweepArguments) -> tuple[list[Task], WeightFiles]:
     return [
         Task(
             rnn, training_seed, detector, gamma, kind, seed, files.hash, policy_hash, encoder_hash, learned, own,
-            arguments.log,
+            arguments.until, arguments.log,
         )
         for rnn, training_seed, detector, gamma, policy_hash, learned, own in controllers
         for kind in _unique(arguments.disturbance)

@@ -14,6 +14,7 @@ from distributed import Worker as DaskWorker
 from distributed import WorkerPlugin, get_worker
 
 from diagrams.controllers import Calibration, Controller, policy_name
+from diagrams.episode import Until
 from diagrams.scenario import World
 from diagrams.workers import Job, Worker, stretches
 
@@ -38,13 +39,15 @@ class Task:
     encoder_hash: str
     detector_hash: str | None  # of what a baseline learned and its calibration for this policy
     calibration: Calibration | None = None  # what gamma makes of the one in the files
+    until: Until = "task"
     log: bool = False  # send the record along, see RECORD
 
     @property
     def key(self) -> str:
         """Says which episode it is; a file name without suffix."""
         gamma = "own" if self.gamma is None else repr(self.gamma)
-        return f"{self.rnn}-{self.training_seed}-{self.detector}-{gamma}-{self.disturbance}-{self.seed}"
+        end = "" if self.until == "task" else f"-{self.until}"
+        return f"{self.rnn}-{self.training_seed}-{self.detector}-{gamma}-{self.disturbance}-{self.seed}{end}"
 
     def labels(self) -> dict[str, Any]:
         """Columns of a row that are known before the episode is run."""
@@ -96,7 +99,8 @@ def run_in(folder: Path, task: Task) -> dict[str, Any]:
     try:
         controller = Controller(folder / policy_name(task.rnn, task.training_seed), task.detector, task.calibration)
         path = folder / f"{task.key}.npz" if task.log else None
-        outcome, record = _worker_of(folder).run(Job(task.seed, task.disturbance, task.rnn, log=path), controller)
+        job = Job(task.seed, task.disturbance, task.rnn, task.until, path)
+        outcome, record = _worker_of(folder).run(job, controller)
         log = {}
         if path is not None:
             log[RECORD] = path.read_bytes()
@@ -117,7 +121,8 @@ def run_in(folder: Path, task: Task) -> dict[str, Any]:
 def error_row(task: Task, error: BaseException) -> dict[str, Any]:
     """The row of an episode that raised: a failure of the task and of the switching."""
     text = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    failed = {"success": False, "switch_success": False, "failure": "error", "switch_failure": "error"}
+    flags = dict.fromkeys(("success", "switch_success", "paper_switch_success"), False)
+    failed = flags | {"failure": "error", "switch_failure": "error"}
     return {**task.labels(), **failed, "error": text}
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diagrams.controllers import Calibration, Controller
-from diagrams.episode import DETECTION_TICKS, Outcome
+from diagrams.episode import DETECTION_TICKS, Outcome, Until
 from diagrams.scenario import ScenarioError, World
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ class Job:
     seed: int
     kind: str
     rnn: str = "lstm"
-    detection_only: bool = False  # ends as soon as the disturbance cannot be detected any more
+    until: Until = "task"  # what the run ends with
     log: Path | None = None  # .npz for the run's record, see diagrams/records.py
 
 
@@ -81,8 +81,7 @@ class Worker:
     def run(self, job: Job, controller: Controller) -> tuple[Outcome, Record]:
         """Draws and runs the episode."""
         episode = self._draws.draw(job.seed, job.kind, rnn=job.rnn, detector=controller.detector)
-        ticks_after = DETECTION_TICKS if job.detection_only else None
-        outcome, record = self.rollout(controller).run(episode, ticks_after=ticks_after)
+        outcome, record = self.rollout(controller).run(episode, until=job.until)
         if job.log is not None:
             from diagrams.records import save_record
 

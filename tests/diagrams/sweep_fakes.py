@@ -26,8 +26,9 @@ def outcome_row(task: Task) -> dict:
         **task.labels(), "can_xy": tuple(rng.uniform(size=2)), "vacant": "left", "picked": True, "placed": success,
         "home": True, "success": success, "switched": disturbed, "detection_delay_s": 0.2 if disturbed else None,
         "false_switches": 0, "returned": True if disturbed else None, "resumed": switched if disturbed else None,
-        "switch_success": switched, "alpha_max_before": float(rng.uniform(0, 0.1)), "return_s": 2.0 if disturbed else None,
-        "resume_s": None, "failure": None if success else "stalled", "switch_failure": None if switched else "not resumed",
+        "switch_success": switched, "paper_switch_success": switched, "alpha_max_before": float(rng.uniform(0, 0.1)),
+        "return_s": 2.0 if disturbed else None, "resume_s": None,
+        "failure": None if success else "stalled", "switch_failure": None if switched else "not resumed",
         "sim_seconds": 40.0 + rng.uniform(), "wall_seconds": started, "realtime_factor": time.time(),
         "error_peak_normal": float(rng.uniform(1, 20)), "error_peak_disturbed": 300.0 if disturbed else None, "error": None,
     }  # fmt: skip

@@ -19,7 +19,7 @@ from models.weights import WeightsError, load_policy
 OUTCOME = Outcome(
     seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True, placed=True,
     home=True, success=True, switched=True, detection_delay_s=0.2, false_switches=0, returned=True, resumed=True,
-    switch_success=True, alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None, switch_failure=None,
+    switch_success=True, paper_switch_success=True, alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None, switch_failure=None,
     sim_seconds=40.0, realtime_factor=5.0,
 )  # fmt: skip
 
@@ -69,7 +69,7 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, mon
     seeds = {job.seed for _, job, _ in asked}
     assert all(SEED_BASE["validation"] <= seed < SEED_BASE["evaluation"] for seed in seeds)
     # Only what cannot succeed without a detector is cut short; the rest is judged to its end.
-    assert all(job.detection_only == (job.kind != "none" and g == OFF) for _, job, g in asked)
+    assert all((job.until == "detection") == (job.kind != "none" and g == OFF) for _, job, g in asked)
     assert sorted({g for _, job, g in asked if job.kind != "none"}) == pytest.approx([gamma, OFF])
     assert "5 of 6 tasks done" in capsys.readouterr().out
 

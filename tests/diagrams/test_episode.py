@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from diagrams.episode import FAILURES, Outcome, Switching, TaskMonitor, tilt
 
@@ -24,7 +26,7 @@ def run(onset=50, end=68, high=(52, 121), home=100, disturbed=True, false_alarm=
 
 def test_as_it_should():
     switching = run()
-    assert switching == Switching(50, 68, 52, 100, 121, 0, 0.02, None)
+    assert switching == Switching(50, 68, 52, 100, 121, 0, 0.02, None, as_in_paper=True, decided=True)
     assert switching.ticks_disturbed == 71
 
 
@@ -51,6 +53,71 @@ def test_failure_kinds(changes, failure):
     found = run(**changes).failure
     assert found == failure
     assert found is None or found in FAILURES
+
+
+@pytest.mark.parametrize(
+    ("changes", "success"),
+    [
+        ({}, True),
+        ({"false_alarm": 10}, True),  # the paper asks nothing before the disturbance
+        ({"high": None}, False),
+        ({"high": (73, 121)}, False),  # not noticed in time
+        ({"home": None}, False),
+        ({"high": (52, 55)}, True),  # let go of at once, but at its initial posture later
+        ({"home": 130}, True),
+        ({"high": (52, 55), "home": TICKS - 1}, True),  # at the last tick
+        ({"high": (52, 161)}, True),  # 6.1 s after it came home, but at home still
+        ({"high": (52, TICKS)}, False),
+        ({"onset": None, "high": None}, False),
+        ({"onset": None, "high": None, "disturbed": False}, True),
+        ({"onset": None, "high": (30, 40), "disturbed": False}, False),
+    ],
+)
+def test_switching_in_the_words_of_the_paper(changes, success):
+    assert run(**changes).as_in_paper is success
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_what_is_decided_stays_so(data):
+    """Runs cut short at every tick: once decided, the failure is that of the whole run; and it is decided as early as can be told."""
+    ticks = data.draw(st.integers(20, 110))
+    onset = data.draw(st.integers(0, 15))
+    end = onset + data.draw(st.integers(1, 10))
+    active = (np.arange(ticks) >= onset) & (np.arange(ticks) < end)
+    # Stretches at a few levels, as a run has them.
+    pieces = st.lists(
+        st.tuples(st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.95]), st.booleans(), st.integers(1, 70)),
+        min_size=1,
+        max_size=8,
+    )
+    drawn = data.draw(pieces)
+    repeats = [length for _, _, length in drawn[:-1]] + [ticks]
+    alpha, at_home = (np.repeat([piece[i] for piece in drawn], repeats)[:ticks] for i in (0, 1))
+    disturbed = data.draw(st.booleans())
+    if not disturbed:
+        active[:] = False
+
+    def cut(n, tail_alpha=(), tail_home=()):
+        return Switching.of(
+            np.append(alpha[:n], tail_alpha), np.append(active[:n], np.zeros(len(tail_alpha), bool)),
+            np.append(at_home[:n], np.array(tail_home, bool)), disturbed, PERIOD,
+        )  # fmt: skip
+
+    whole = cut(ticks)
+    for n in range(1, ticks + 1):
+        part = cut(n)
+        if part.decided:
+            assert part.failure == whole.failure
+        elif not active[n:].any() and (active[:n].any() or not disturbed):
+            # There are ways to go on that end differently.
+            ways = {
+                cut(n, [0.95] * 70, [False] * 70).failure,
+                cut(n, [0.95] + [0.0] * 70, [True] * 71).failure,
+                cut(n, [0.0] * 70, [True] * 70).failure,
+                cut(n, [0.0] * 70, [False] * 70).failure,
+            }
+            assert len(ways) > 1
 
 
 def test_detected_at_nine_tenths_only():
@@ -150,7 +217,7 @@ def test_outcome_is_plain_enough_for_json():
         seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True,
         placed=MONITOR.placed(poses()), home=MONITOR.home(HOME), success=MONITOR.success(poses(), HOME), switched=True,
         detection_delay_s=0.2, false_switches=0, returned=True, resumed=True, switch_success=True,
-        alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None, switch_failure=None, sim_seconds=30.0,
+        paper_switch_success=True, alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None, switch_failure=None, sim_seconds=30.0,
     )  # fmt: skip
     back = json.loads(json.dumps(outcome.to_dict()))
     assert (back["can_xy"], back["placed"], back["failure"]) == ([0.5, 0.0], True, None)

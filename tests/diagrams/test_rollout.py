@@ -254,10 +254,25 @@ def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, monkeypa
 def test_a_run_for_the_detection_alone_ends_soon_after_the_disturbance(rollout, policy, moved_on_the_way_to_the_can):
     whole = moved_on_the_way_to_the_can
     policy.learn(whole.episode)
-    _, record = rollout.run(whole.episode, ticks_after=5)
+    outcome, record = rollout.run(whole.episode, until="detection")
+    assert (outcome.success, outcome.failure) == (None, None)
     end = np.flatnonzero(whole.record.active)[-1] + 1
     assert len(record.time) == end + 5
     assert np.array_equal(record.errors, whole.record.errors[: end + 5])
+
+
+def test_a_run_for_the_switching_alone_ends_once_it_is_decided(rollout, policy, moved_on_the_way_to_the_can):
+    whole = moved_on_the_way_to_the_can
+    policy.learn(whole.episode)
+    outcome, record = rollout.run(whole.episode, until="switching")
+    assert (outcome.success, outcome.failure, outcome.paper_switch_success) == (None, None, None)
+    assert (whole.outcome.success, whole.outcome.paper_switch_success) == (True, True)
+    for name in ("switch_success", "detection_delay_s", "return_s", "resume_s", "switch_failure"):
+        assert getattr(outcome, name) == getattr(whole.outcome, name)
+    assert record.alpha[-1] <= 0.1 < record.alpha[-2]
+    ticks = len(record.time)
+    assert ticks < len(whole.record.time)
+    assert np.array_equal(record.errors, whole.record.errors[:ticks])
 
 
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):

@@ -49,8 +49,8 @@ def cluster():
         yield cluster
 
 
-def make_task(seed=0, disturbance="none", weights_hash="", rnn="lstm", gamma=None):
-    return Task(rnn, 0, "recall", gamma, disturbance, seed, "bundle", weights_hash, "", None)
+def make_task(seed=0, disturbance="none", weights_hash="", rnn="lstm", gamma=None, until="task"):
+    return Task(rnn, 0, "recall", gamma, disturbance, seed, "bundle", weights_hash, "", None, until=until)
 
 
 def without_times(folder):
@@ -199,6 +199,19 @@ def test_real_episodes(tmp_path, weights, cluster, monkeypatch):
     assert {tuple(outcome["can_xy"]) for _, outcome in records} == {tuple(row["can_xy"]) for row in rows}
 
 
+def test_episodes_end_with_the_switching_where_that_is_asked(tmp_path, weights, cluster, monkeypatch):
+    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 1.5)
+    asked = {"episodes": 1, "disturbance": ["none"], "gamma": [1e12, 10.0], "until": "switching"}
+    assert run(cluster, weights, tmp_path, **asked) == 0
+    rows = pq.read_table(tmp_path / "episodes.parquet").to_pylist()
+    assert [(r["success"], r["failure"], r["switch_failure"]) for r in rows] == [
+        (None, None, None),
+        (None, None, "false switch"),
+    ]
+    assert rows[0]["sim_seconds"] == 1.5 > rows[1]["sim_seconds"]
+    assert ["task" in cell for cell in json.loads((tmp_path / "summary.json").read_text())["cells"]] == [False, False]
+
+
 def test_whatever_an_episode_raises_is_its_row(tmp_path, weights, monkeypatch):
     assert "WeightsError" in run_in(tmp_path, make_task())["error"]
 
@@ -226,7 +239,12 @@ def test_store_knows_what_is_there(tmp_path):
 
 def test_keys_tell_all_episodes_apart():
     tasks = [
-        make_task(s, d, gamma=g, rnn=r) for s in (0, 1) for d in "AB" for g in (None, 3.0, 3.5) for r in ("lstm", "gru")
+        make_task(s, d, gamma=g, rnn=r, until=u)
+        for s in (0, 1)
+        for d in "AB"
+        for g in (None, 3.0, 3.5)
+        for r in ("lstm", "gru")
+        for u in ("task", "switching")
     ]
     assert len({task.key for task in tasks}) == len(tasks)
 
@@ -240,6 +258,7 @@ def test_keys_tell_all_episodes_apart():
         ({"episodes": 0}, ScenarioError, "number of episodes 0.*from 1"),
         ({"seed": -1}, ScenarioError, "seed -1"),
         ({"gamma": [3.0, float("nan")]}, ScenarioError, "gamma nan is out of range"),
+        ({"log": True, "until": "switching"}, ScenarioError, "--log keeps whole episodes"),
         ({"gamma": [0.0]}, ScenarioError, "gamma 0.0 is out of range"),
         ({"workers": 0}, ScenarioError, "number of workers 0"),
         ({"training_seeds": [-1]}, ScenarioError, "training seed -1"),

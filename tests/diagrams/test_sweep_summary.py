@@ -39,7 +39,7 @@ def frame(rnn, flags, detector="recall", gamma=None, training_seed=0, disturbanc
         {
             "rnn": rnn, "detector": detector, "gamma": np.full(n, np.nan if gamma is None else gamma),
             "disturbance": disturbance, "training_seed": training_seed, "seed": np.arange(n), "success": flags,
-            "switch_success": flags, "failure": [None if f else "stalled" for f in flags],
+            "switch_success": flags, "paper_switch_success": flags, "failure": [None if f else "stalled" for f in flags],
             "switch_failure": [None if f else "not resumed" for f in flags], "error": None,
             "false_switches": 0, "detection_delay_s": 0.2, "return_s": np.linspace(1.0, 3.0, n), "resume_s": np.full(n, np.nan),
             "sim_seconds": 40.0, "realtime_factor": 5.0,
@@ -91,7 +91,7 @@ def test_comparison_is_mcnemars_exact_test_on_the_pairs():
     b = np.array([1] * 30 + [0] * 9 + [1] * 1)
     rows = pd.concat([frame("lstm", a), frame("lstm", b, detector="knn").sample(frac=1.0, random_state=0)])
     found = comparisons(rows)
-    assert [c["measure"] for c in found] == ["task", "switching"]
+    assert [c["measure"] for c in found] == ["task", "switching", "as paper"]
     assert (found[0]["n"], found[0]["only_a"], found[0]["only_b"]) == (40, 9, 1)
     assert found[0]["p"] == pytest.approx(binomtest(1, 10).pvalue)  # 22/1024, by hand
     assert found[0]["p"] == pytest.approx(22 / 1024)
@@ -111,7 +111,22 @@ def test_pairs_are_of_one_disturbance_training_seed_and_gamma():
             frame("gru", [0, 1, 1], disturbance="B"),
         ]
     )
-    assert [(c["n"], c["p"]) for c in comparisons(rows)] == [(0, 1.0), (0, 1.0)]
+    assert [(c["n"], c["p"]) for c in comparisons(rows)] == [(0, 1.0)] * 3
+
+
+def test_the_paper_s_words_are_counted_apart_with_what_failed_there():
+    rows = frame("lstm", [1, 1, 0, 0]).assign(paper_switch_success=[True, True, True, False])
+    found = cells(rows)[0]
+    assert (found["switching"]["successes"], found["as paper"]["successes"]) == (2, 3)
+    assert (found["switching"]["failures"], found["as paper"]["failures"]) == ({"not resumed": 2}, {"not resumed": 1})
+
+
+def test_what_was_not_asked_for_is_no_failure():
+    rows = pd.concat([frame("lstm", [1, 1, 0]), frame("gru", [1, 0, 0])])
+    rows = rows.assign(success=None, failure=None, paper_switch_success=None)
+    assert ["task" in cell for cell in cells(rows)] == [False, False]
+    assert [c["measure"] for c in comparisons(rows)] == ["switching"]
+    assert "2 of    3" in table({"cells": cells(rows), "comparisons": comparisons(rows)})
 
 
 def test_table_and_json_say_it_all():
