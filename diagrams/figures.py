@@ -1,11 +1,12 @@
 """Figures 4 to 7 of the paper, and switching success against gamma.
 
-    python diagrams/figures.py --out outputs/figures --sweep outputs/sweep
+    python diagrams/figures.py --out outputs/figures --sweep outputs/sweep outputs/sweep_gamma
     python diagrams/figures.py --out outputs/figures --record outputs/sweep/records/lstm-0-recall-own-B-2070000.npz
 
 Figs. 5 to 7 need every tick: the episodes are run again, and come out as in the sweep, to the bit. With --sweep they are the first ones in
 which all went well; without it the first ones of --seed. From --record, one or several, Figs. 5 and 7 are drawn as they are; for the pictures
-of Fig. 6 the episode is run again. Fig. 4 is drawn from the weight files, the curve of gamma from a sweep with several values of --gamma.
+of Fig. 6 the episode is run again. Fig. 4 is drawn from the weight files, the curve of gamma from a sweep with several values of --gamma, which
+is given beside one with the calibrated gamma.
 Exit code 2: bad input.
 """
 
@@ -43,7 +44,7 @@ class FiguresArguments:
     """Command line of figures.py."""
 
     out: Path = Path("outputs/figures")
-    sweep: Path | None = None  # folder of a sweep
+    sweep: list[Path] = field(default_factory=list)  # folders of sweeps
     record: list[Path] = field(default_factory=list)  # of pick_place.py --log or sweep.py --log, one a disturbance
     rnn: str = "lstm"  # of Figs. 5 to 7
     training_seed: int = 0
@@ -75,17 +76,25 @@ def recall_losses(weights: Path) -> dict[str, np.ndarray]:
     return losses
 
 
-def read_sweep(folder: Path) -> pd.DataFrame:
-    """The episodes of the sweep in `folder`; raises ScenarioError if there are none."""
+def read_sweeps(folders: list[Path]) -> pd.DataFrame:
+    """The episodes of the sweeps in `folders`; raises ScenarioError for a folder without, and for an episode that two of them have."""
     import pandas as pd
 
-    path = folder / "episodes.parquet"
-    if not path.is_file():
-        raise ScenarioError(f"{path} does not exist: run diagrams/sweep.py with --out {folder}, to its end")
-    try:
-        return pd.read_parquet(path)
-    except (OSError, ValueError) as error:  # pyarrow's errors are ValueErrors
-        raise ScenarioError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
+    tables = []
+    for folder in folders:
+        path = folder / "episodes.parquet"
+        if not path.is_file():
+            raise ScenarioError(f"{path} does not exist: run diagrams/sweep.py with --out {folder}, to its end")
+        try:
+            tables.append(pd.read_parquet(path))
+        except (OSError, ValueError) as error:  # pyarrow's errors are ValueErrors
+            raise ScenarioError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
+    rows = pd.concat([table.astype(object) for table in tables], ignore_index=True).infer_objects()
+    if rows.duplicated(["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]).any():
+        raise ScenarioError(
+            f"some episodes are in several of {', '.join(map(str, folders))}: they would count twice, give one"
+        )
+    return rows
 
 
 def read_records(paths: list[Path], rnn: str, weights_hash: str) -> dict[str, tuple[Record, dict]]:
@@ -269,9 +278,9 @@ def main(arguments: FiguresArguments) -> int:
     encoder_path = arguments.weights / "cae.safetensors"
     encoder, decoder = Encoder(encoder_path), load_autoencoder(encoder_path)[0]
     policy = Policy(arguments.weights / policy_name(arguments.rnn, arguments.training_seed))
-    if arguments.sweep is not None and arguments.record:
+    if arguments.sweep and arguments.record:
         raise ScenarioError("both --sweep and --record are given: choose one")
-    rows = None if arguments.sweep is None else read_sweep(arguments.sweep)
+    rows = read_sweeps(arguments.sweep) if arguments.sweep else None
     given = read_records(arguments.record, arguments.rnn, policy.hash)
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -98,6 +98,20 @@ def test_gamma_curves_and_their_bounds(tmp_path):
     assert figures.gamma_curves(rows[rows["gamma"].isna()]) == ({}, {})
 
 
+def test_sweeps_are_read_together_and_no_episode_twice(tmp_path):
+    own = frame("lstm", [1, 0])
+    swept = frame("lstm", [1, 0], gamma=3.0).assign(success=None, failure=None, paper_switch_success=None)
+    for name, rows in (("own", own), ("swept", swept)):
+        (tmp_path / name).mkdir()
+        rows.to_parquet(tmp_path / name / "episodes.parquet")
+    rows = figures.read_sweeps([tmp_path / "own", tmp_path / "swept"])
+    assert rows["success"].tolist() == [True, False, None, None]
+    assert rows["gamma"].isna().tolist() == [True, True, False, False]
+    assert rows["gamma"].dtype == float
+    with pytest.raises(ScenarioError, match="they would count twice"):
+        figures.read_sweeps([tmp_path / "own", tmp_path / "own"])
+
+
 def test_the_episode_in_which_all_went_well_is_shown(draws):
     arguments = FiguresArguments()
     rows = frame("lstm", [0, 0, 1, 1], disturbance="A")
@@ -193,8 +207,8 @@ def test_a_sweep_is_not_drawn_as_what_it_was_not(tmp_path, weights, monkeypatch)
     [
         ({"rnn": "rnn"}, ScenarioError, "no rnn 'rnn'"),
         ({"rnn": "gru"}, WeightsError, "gru.safetensors"),
-        ({"sweep": "nowhere"}, ScenarioError, "episodes.parquet does not exist: run diagrams/sweep.py"),
-        ({"sweep": "damaged"}, ScenarioError, "episodes.parquet is damaged"),
+        ({"sweep": ["nowhere"]}, ScenarioError, "episodes.parquet does not exist: run diagrams/sweep.py"),
+        ({"sweep": ["damaged"]}, ScenarioError, "episodes.parquet is damaged"),
         ({"out": "/dev/null/out"}, ScenarioError, "cannot be written"),
     ],
 )
@@ -202,6 +216,9 @@ def test_bad_input_is_refused(tmp_path, weights, changes, error, named, monkeypa
     monkeypatch.chdir(tmp_path)
     Path("damaged").mkdir()
     Path("damaged/episodes.parquet").write_bytes(b"PAR1 but no more")
-    paths = {name: Path(value) if name != "rnn" else value for name, value in changes.items()}
+    paths = {
+        name: value if name == "rnn" else [Path(v) for v in value] if name == "sweep" else Path(value)
+        for name, value in changes.items()
+    }
     with pytest.raises(error, match=named):
         figures.main(FiguresArguments(**({"weights": weights, "out": tmp_path} | paths)))
