@@ -160,17 +160,14 @@ class Rollout:
         extra, switching = 0, None
         while k < limit + extra and not success and not cut:
             get = self.controller.GetOutputPort
-            try:
-                # At the tick, before its update: the features that the update will use, from one rendering for both.
-                self.simulator.AdvanceTo(k * period)
+            # At the tick, before its update: the features that the update will use, from one rendering for both.
+            diverged = not self._advance(k * period)
+            if not diverged:
                 features = get("features").Eval(controller).copy()
                 # In the middle of the tick: every other output holds from the update to the next one.
-                self.simulator.AdvanceTo((k + 0.5) * period)
-            except RuntimeError as error:
-                if "non-finite" not in str(error):
-                    raise
-                diverged = True  # something hard was squeezed between hard things; what came before is kept
-                break
+                diverged = not self._advance((k + 0.5) * period)
+            if diverged:
+                break  # what came before is kept
             logs["features"].append(features)
             history = get("posture_history").Eval(controller).reshape(-1, size)
             recalled = get("recalled_postures").Eval(controller).reshape(-1, size)
@@ -228,6 +225,19 @@ class Rollout:
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
+
+    def _advance(self, seconds: float) -> bool:
+        """To that time; False if the physics diverged: something hard was squeezed between hard things."""
+        try:
+            self.simulator.AdvanceTo(seconds)
+        except RuntimeError as error:
+            if "non-finite" not in str(error):
+                raise
+            return False
+        # The last step may have overflowed, and Drake ends the process that asks for a pose then.
+        plant = self.station.plant
+        state = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(self.simulator.get_context()))
+        return bool(np.isfinite(state).all())
 
     def _switching(self, rows: dict[str, list], disturbed: bool) -> Switching:
         alpha, active, at_home = (np.array(rows[name]) for name in ("alpha", "active", "at_home"))

@@ -211,22 +211,28 @@ def test_a_network_that_does_nothing_has_stalled(rollout, policy, encoder, monke
 
 
 class Diverging:
-    """A simulator whose physics ends after a second."""
+    """A simulator whose physics ends after a second: in a step, or with a state that only the next one would find."""
 
-    def __init__(self, simulator):
-        self._simulator = simulator
+    def __init__(self, simulator, plant=None):
+        self._simulator, self._plant = simulator, plant
 
     def __getattr__(self, name):
         return getattr(self._simulator, name)
 
     def AdvanceTo(self, seconds):
-        if seconds > 1.0:
+        if seconds > 1.0 and self._plant is None:
             raise RuntimeError("a non-finite number")
-        return self._simulator.AdvanceTo(seconds)
+        status = self._simulator.AdvanceTo(seconds)
+        if seconds > 1.0:
+            context = self._plant.GetMyMutableContextFromRoot(self._simulator.get_mutable_context())
+            context.get_mutable_discrete_state_vector().SetAtIndex(self._plant.num_positions() - 1, np.inf)
+        return status
 
 
-def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkeypatch):
-    monkeypatch.setattr(rollout, "simulator", Diverging(rollout.simulator))
+@pytest.mark.parametrize("in_a_step", [True, False])
+def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkeypatch, in_a_step):
+    plant = None if in_a_step else rollout.station.plant
+    monkeypatch.setattr(rollout, "simulator", Diverging(rollout.simulator, plant))
     run = Run(rollout, policy, encoder, Episode(0, CAN, "left"))
     assert (run.outcome.success, run.outcome.switch_success) == (False, False)
     assert run.outcome.failure == run.outcome.switch_failure == "simulation diverged"
