@@ -11,6 +11,7 @@ import pytest
 
 from models.inference import Encoder, Policy
 from models.rnn import RNNS
+from models.windows import METHODS, calibration_of, load_detector
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "models" / "weights"
 GOLDEN = Path(__file__).with_name("golden.json")
@@ -45,6 +46,14 @@ def test_encoder() -> None:
 @pytest.mark.parametrize("name", POLICIES)
 def test_policy(name: str) -> None:
     np.testing.assert_allclose(policy_output(name), json.loads(GOLDEN.read_text())[name], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_committed_detectors_are_calibrated_for_the_committed_lstms(method: str) -> None:
+    path = WEIGHTS / f"{method}.safetensors"
+    stored = load_detector(path, method)
+    for name in (name for name in POLICIES if name.startswith("lstm")):
+        assert calibration_of(path, stored, Policy(WEIGHTS / f"{name}.safetensors").hash)["gamma"] > 1.0
 
 
 def test_weights_stay_within_the_limit() -> None:
