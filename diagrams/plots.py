@@ -139,7 +139,11 @@ def save_gamma_curve(
             axis.plot(bounds[label][0], 100 * bounds[label][1], color=f"C{n}", lw=0.8, ls=":")
     axis.axvline(PAPER_GAMMA, color="0.5", lw=0.8, ls="--")
     axis.text(PAPER_GAMMA, 1.01, "the paper's 3", fontsize=7, ha="center", transform=axis.get_xaxis_transform())
+    axis.plot([], [], color="0.4", lw=0.8, ls=":", label="no false alarm, and noticed\n(from the runs at the largest)")
     axis.set(xlabel=r"$\gamma$", ylabel="switching success (%)", xscale="log", ylim=(-3, 103))
+    ticks = sorted({p["gamma"] for points in curves.values() for p in points})
+    axis.set_xticks(ticks, [f"{gamma:g}" for gamma in ticks], minor=False)
+    axis.set_xticks([], minor=True)
     axis.legend(fontsize=7, frameon=False)
     _save(figure, path)
 
