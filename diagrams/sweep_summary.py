@@ -15,7 +15,7 @@ CELL = ["rnn", "detector", "gamma", "disturbance"]
 MEASURES = {
     "task": ("success", "failure"),
     "switching": ("switch_success", "switch_failure"),
-    "as paper": ("paper_switch_success", "switch_failure"),
+    "as_paper": ("paper_switch_success", "switch_failure"),
 }
 
 

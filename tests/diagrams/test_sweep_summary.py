@@ -91,7 +91,7 @@ def test_comparison_is_mcnemars_exact_test_on_the_pairs():
     b = np.array([1] * 30 + [0] * 9 + [1] * 1)
     rows = pd.concat([frame("lstm", a), frame("lstm", b, detector="knn").sample(frac=1.0, random_state=0)])
     found = comparisons(rows)
-    assert [c["measure"] for c in found] == ["task", "switching", "as paper"]
+    assert [c["measure"] for c in found] == ["task", "switching", "as_paper"]
     assert (found[0]["n"], found[0]["only_a"], found[0]["only_b"]) == (40, 9, 1)
     assert found[0]["p"] == pytest.approx(binomtest(1, 10).pvalue)  # 22/1024, by hand
     assert found[0]["p"] == pytest.approx(22 / 1024)
@@ -117,8 +117,8 @@ def test_pairs_are_of_one_disturbance_training_seed_and_gamma():
 def test_the_paper_s_words_are_counted_apart_with_what_failed_there():
     rows = frame("lstm", [1, 1, 0, 0]).assign(paper_switch_success=[True, True, True, False])
     found = cells(rows)[0]
-    assert (found["switching"]["successes"], found["as paper"]["successes"]) == (2, 3)
-    assert (found["switching"]["failures"], found["as paper"]["failures"]) == ({"not resumed": 2}, {"not resumed": 1})
+    assert (found["switching"]["successes"], found["as_paper"]["successes"]) == (2, 3)
+    assert (found["switching"]["failures"], found["as_paper"]["failures"]) == ({"not resumed": 2}, {"not resumed": 1})
 
 
 def test_what_was_not_asked_for_is_no_failure():
