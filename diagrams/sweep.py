@@ -184,6 +184,9 @@ def execute(
     del futures
     for future in completed:
         task = asked[future.key]
+        if future.status in ("lost", "pending"):  # its worker died before the row was fetched: it is run again
+            completed.add(future)
+            continue
         if future.status == "finished":
             yield task, future.result()
         elif future.status == "error":

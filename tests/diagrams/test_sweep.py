@@ -184,6 +184,44 @@ def test_dead_workers_are_replaced(tmp_path):
         assert "KilledWorker" in found[0]["error"]
 
 
+def test_rows_that_died_with_their_worker_are_waited_for(monkeypatch):
+    """A row is finished, and lost before it is fetched, when the next task kills the worker."""
+
+    class Future:
+        def __init__(self, task, *statuses):
+            self.key, self._statuses = task.key, list(statuses)
+
+        @property
+        def status(self):
+            return self._statuses[0]
+
+        def result(self):
+            assert self.status == "finished"
+            return self.key
+
+        def release(self):
+            pass
+
+    class Completed(list):
+        def __iter__(self):
+            while self:
+                yield self.pop(0)
+
+        def add(self, future):
+            future._statuses.pop(0)
+            self.append(future)
+
+    tasks = [make_task(seed) for seed in range(3)]
+    futures = [
+        Future(tasks[0], "lost", "pending", "finished"),
+        Future(tasks[1], "cancelled"),
+        Future(tasks[2], "finished"),
+    ]
+    monkeypatch.setattr(sweep, "as_completed", Completed)
+    client = type("Client", (), {"map": lambda self, run, tasks, pure: futures})()
+    assert list(execute(client, None, tasks)) == [(tasks[2], tasks[2].key), (tasks[0], tasks[0].key)]
+
+
 def test_real_episodes(tmp_path, weights, cluster, monkeypatch):
     """The whole way with untrained networks, 1.5 s an episode: their detector notices everything at once."""
     monkeypatch.setattr(rollout_module, "TIME_LIMIT", 1.5)
