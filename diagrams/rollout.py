@@ -203,16 +203,13 @@ class Rollout:
             if on_tick is not None:
                 on_tick(k)
         switching = self._switching(rows, disturbed)
-        narrator.say(
-            (k - 1) * period,
-            "task done"
-            if success
-            else "the simulation diverged"
-            if diverged
-            else f"{until} decided"
-            if cut
-            else "time is up",
+        ends = (
+            (success, "task done"),
+            (diverged, "the simulation diverged"),
+            (cut, f"{until} decided"),
+            (True, "time is up"),
         )
+        narrator.say((k - 1) * period, next(words for came, words in ends if came))
         arrays = {name: np.array(values) for name, values in {**rows, **logs}.items()}
         arrays.pop("at_home")
         record = Record(time=period * np.arange(k), squared_errors=np.array(squared), events=narrator.events, **arrays)

@@ -56,13 +56,14 @@ def measures(rows: pd.DataFrame) -> dict[str, tuple[str, str]]:
 
 def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """One entry a controller (over its training seeds) and disturbance; `rows`: the columns of diagrams/sweep_store.py."""
+    measured = measures(rows)
     return [
         labels
         | {"errors": int(cell["error"].notna().sum())}
         | {
             measure: rate(cell[flag].to_numpy(bool), cell["training_seed"].to_numpy())
             | {"failures": dict(collections.Counter(cell[kind][~cell[flag].astype(bool)].dropna()).most_common())}
-            for measure, (flag, kind) in measures(rows).items()
+            for measure, (flag, kind) in measured.items()
         }
         # A false alarm that is under way at the onset would count as noticed at once.
         | {
