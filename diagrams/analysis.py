@@ -20,8 +20,9 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from diagrams.scenario import RNNS, SPOTS, WEIGHTS, ScenarioError, World, save_scenario
-from models.weights import WeightsError
+from diagrams.world.scenario import RNNS, SPOTS, WEIGHTS, World, save_scenario
+from models.errors import InputError
+from models.files.weights import WeightsError
 
 
 @dataclass
@@ -107,15 +108,15 @@ def main(item: Common) -> int:
     try:
         item.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ScenarioError(f"{item.out} cannot be written ({error.strerror}): choose another --out") from error
+        raise InputError(f"{item.out} cannot be written ({error.strerror}): choose another --out") from error
     return next(run for kind, run in ITEMS.values() if kind is type(item))(item)
 
 
 def _check(item: Common) -> None:
     if item.seed < 0:
-        raise ScenarioError(f"the seed {item.seed} is negative: choose a whole number from 0 on")
+        raise InputError(f"the seed {item.seed} is negative: choose a whole number from 0 on")
     if isinstance(item, WithNetworks) and item.rnn not in RNNS:
-        raise ScenarioError(f"there is no rnn '{item.rnn}': choose one of {', '.join(RNNS)}")
+        raise InputError(f"there is no rnn '{item.rnn}': choose one of {', '.join(RNNS)}")
     least = {
         "samples": 1,
         "outside": 0,
@@ -130,7 +131,7 @@ def _check(item: Common) -> None:
     for name, minimum in least.items():
         value = getattr(item, name, None)
         if value is not None and value < minimum:
-            raise ScenarioError(f"--{name.replace('_', '-')} {value} is too small: choose {minimum} or more")
+            raise InputError(f"--{name.replace('_', '-')} {value} is too small: choose {minimum} or more")
 
 
 def _write(item: Common, name: str, report: dict) -> None:
@@ -154,24 +155,24 @@ def _networks(item: WithNetworks):
 
 
 def _rollout(item: WithNetworks, world: World):
-    from diagrams.rollout import Rollout
+    from diagrams.episodes.rollout import Rollout
 
     return Rollout(world, *_networks(item))
 
 
 def run_modes(item: Modes) -> int:
     """See Modes."""
-    from diagrams.hybrid_modes import mode_sequence, report, save_automaton
-    from diagrams.records import find_records, load_record, save_record
+    from diagrams.episodes.record import find_records, load_record, save_record
+    from diagrams.hybrid.modes import mode_sequence, report, save_automaton
 
     world, paths = World(), find_records(item.record)
     if not paths:
         from tqdm import tqdm
 
-        from diagrams.draws import EpisodeDraws
+        from diagrams.episodes.sampling import EpisodeSampler
 
         with tqdm(desc="run", unit="tick", leave=False, disable=None) as bar:
-            episode = EpisodeDraws(world).draw(item.seed, item.disturbance, rnn=item.rnn)
+            episode = EpisodeSampler(world).draw(item.seed, item.disturbance, rnn=item.rnn)
             outcome, record = _rollout(item, world).run(episode, on_tick=lambda _: bar.update())
         paths = [item.out / f"run-{item.rnn}-{item.disturbance}-{item.seed}.npz"]
         save_record(paths[0], record, outcome)
@@ -191,10 +192,10 @@ def run_modes(item: Modes) -> int:
 
 def run_return(item: Return) -> int:
     """See Return."""
-    from diagrams.return_certificate import certify, holds, save_certificate
-    from diagrams.rollout import controller_limits
-    from diagrams.station import ARM_JOINTS, PickPlaceStation
-    from models.weights import load_policy
+    from diagrams.episodes.rollout import controller_limits
+    from diagrams.hybrid.return_certificate import certify, holds, save_certificate
+    from diagrams.world.station import ARM_JOINTS, PickPlaceStation
+    from models.files.weights import load_policy
 
     world = World()
     if item.units == "policy":
@@ -224,19 +225,19 @@ def run_linearize(item: Linearize) -> int:
     """See Linearize."""
     from tqdm import tqdm
 
-    from diagrams.draws import EpisodeDraws
-    from diagrams.switching_point import analyse, save_spectra, subtask_images
+    from diagrams.episodes.sampling import EpisodeSampler
+    from diagrams.hybrid.switching_point import analyse, save_spectra, subtask_images
+    from models.files.weights import file_hash, load_policy
     from models.inference import Encoder
-    from models.weights import file_hash, load_policy
 
     if len(item.can) != 2 or item.vacant not in SPOTS:
-        raise ScenarioError(f"--can takes X and Y, --vacant one of {', '.join(SPOTS)}")
+        raise InputError(f"--can takes X and Y, --vacant one of {', '.join(SPOTS)}")
     world, encoder = World(), Encoder(item.encoder)
-    EpisodeDraws(world).require_reachable((item.can[0], item.can[1]))
+    EpisodeSampler(world).require_reachable((item.can[0], item.can[1]))
     networks = [(path, load_policy(path)) for path in item.weights]
     for path, stored in networks:
         if stored.encoder_hash != encoder.hash:
-            raise ScenarioError(
+            raise InputError(
                 f"{path} was trained with another encoder than {item.encoder}: give that one with --encoder"
             )
     images = subtask_images(world, encoder, (item.can[0], item.can[1]), item.vacant)
@@ -268,19 +269,19 @@ def run_guard(item: Guard) -> int:
     """See Guard."""
     from tqdm import tqdm
 
-    from diagrams.draws import EpisodeDraws
-    from diagrams.guard_surface import GuardProbe, bisect, holds, report, save_guard, scan
-    from diagrams.station import ARM_JOINTS
+    from diagrams.episodes.sampling import EpisodeSampler
+    from diagrams.hybrid.guard import GuardProbe, bisect, holds, report, save_guard, scan
+    from diagrams.world.station import ARM_JOINTS
 
     if item.grid % 2 == 0:
-        raise ScenarioError(
+        raise InputError(
             f"--grid {item.grid} is even, so that no displacement would not be on it: choose an odd number"
         )
     if len(set(item.joints)) != 2 or not all(1 <= joint <= ARM_JOINTS for joint in item.joints):
-        raise ScenarioError(f"--joints {item.joints} are not two different joints: choose from 1 to {ARM_JOINTS}")
+        raise InputError(f"--joints {item.joints} are not two different joints: choose from 1 to {ARM_JOINTS}")
     world = World()
     rollout = _rollout(item, world)
-    probe = GuardProbe(rollout, EpisodeDraws(world).draw(item.seed, "none", rnn=item.rnn), item.level, item.ticks)
+    probe = GuardProbe(rollout, EpisodeSampler(world).draw(item.seed, "none", rnn=item.rnn), item.level, item.ticks)
     directions = np.eye(ARM_JOINTS)[[joint - 1 for joint in item.joints]]
     with tqdm(total=item.grid**2, desc="grid", unit="point", disable=None) as bar:
         grid = scan(probe, directions, item.reach, item.grid, bar.update)
@@ -322,20 +323,20 @@ def run_falsify(item: Falsify) -> int:
     """See Falsify."""
     for name in ("optuna", "cmaes"):
         if importlib.util.find_spec(name) is None:
-            raise ScenarioError(f"the search needs {name}: pip install -e '.[analysis]'")
-    from diagrams import falsification as f
-    from diagrams.draws import EpisodeDraws, episode_seeds
-    from diagrams.falsification_report import report, save_search
-    from diagrams.kinematics import HandKinematics
-    from diagrams.pushes import NominalRun, Push, PushBuilder
-    from diagrams.records import digest
-    from diagrams.scenario import load_scenario
-    from diagrams.station import PickPlaceStation
+            raise InputError(f"the search needs {name}: pip install -e '.[analysis]'")
+    from diagrams.episodes.record import digest
+    from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
+    from diagrams.hybrid import falsification as f
+    from diagrams.hybrid.falsification_report import report, save_search
+    from diagrams.hybrid.perturbations import NominalRun, Push, PushBuilder
+    from diagrams.world.inverse_kinematics import HandKinematics
+    from diagrams.world.scenario import load_scenario
+    from diagrams.world.station import PickPlaceStation
 
     world, (encoder, policy) = World(), _networks(item)
     if policy.gamma is None:
-        raise ScenarioError(f"{item.rnn}.safetensors has no calibration: run diagrams/calibrate.py on it")
-    draws, station = EpisodeDraws(world), PickPlaceStation(world, camera=False)
+        raise InputError(f"{item.rnn}.safetensors has no calibration: run diagrams/calibrate.py on it")
+    draws, station = EpisodeSampler(world), PickPlaceStation(world, camera=False)
     hand = HandKinematics(world.initial_posture[:-1])
     seeds = episode_seeds("validation", item.seed, item.scenes)
     scenes = [draws.draw(seed, "none", rnn=item.rnn) for seed in seeds]
@@ -359,7 +360,7 @@ def run_falsify(item: Falsify) -> int:
         nominal = pool.run(scenes)
         for scene, (outcome, _) in zip(scenes, nominal, strict=True):
             if outcome.switched:
-                raise ScenarioError(
+                raise InputError(
                     f"the undisturbed run of the scene {scene.seed} already switches: choose another --seed or fewer --scenes"
                 )
         builders = [
@@ -408,13 +409,13 @@ def _words(item: Falsify, file: str, trial: Any, weights_hash: str) -> list[str]
 
 def run_states(item: States) -> int:
     """See States."""
-    from diagrams.draws import EpisodeDraws
-    from diagrams.graph import save_graph
-    from diagrams.state_inventory import report, table
+    from diagrams.drawing.graph import save_graph
+    from diagrams.episodes.sampling import EpisodeSampler
+    from diagrams.hybrid.states import report, table
 
     world = World()
     rollout = _rollout(item, world)
-    rollout.prepare(EpisodeDraws(world).draw(item.seed, "none", rnn=item.rnn))
+    rollout.prepare(EpisodeSampler(world).draw(item.seed, "none", rnn=item.rnn))
     found = report(rollout.diagram, rollout.simulator.get_context())
     _write(item, "states", found)
     save_graph(rollout.diagram, item.out / "graph.svg")
@@ -442,6 +443,6 @@ def parse(arguments: list[str] | None = None) -> Common:
 if __name__ == "__main__":
     try:
         sys.exit(main(parse()))
-    except (ScenarioError, WeightsError) as error:
+    except (InputError, WeightsError) as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)

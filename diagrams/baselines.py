@@ -24,15 +24,15 @@ from typing import Any
 import numpy as np
 import tyro
 
-from diagrams.controllers import Calibration, make_window_detector, never_fires
-from diagrams.draws import episode_seeds
-from diagrams.episode import Outcome, Until
-from diagrams.rollout import Record
-from diagrams.scenario import DISTURBANCES, WEIGHTS, ScenarioError, World
-from diagrams.station import ARM_JOINTS
-from diagrams.workers import Job, run_jobs, stretches
-from models.weights import WeightsError
-from models.windows import (
+from diagrams.episodes.calibration import Calibration, make_window_detector, never_fires
+from diagrams.episodes.episode import Outcome, Until
+from diagrams.episodes.pool import Job, run_jobs, stretches
+from diagrams.episodes.rollout import Record
+from diagrams.episodes.sampling import episode_seeds
+from diagrams.world.scenario import DISTURBANCES, WEIGHTS, World
+from diagrams.world.station import ARM_JOINTS
+from models.errors import InputError
+from models.files.baselines import (
     METHODS,
     WINDOW,
     StoredDetector,
@@ -42,6 +42,7 @@ from models.windows import (
     save_detector,
     stored_as,
 )
+from models.files.weights import WeightsError
 
 
 @dataclass
@@ -104,15 +105,15 @@ def calibrate(
 ) -> tuple[np.ndarray, float, dict[str, Any]]:
     """Mean errors (J,) and gamma from runs with the detector off, and the peaks that they come from.
 
-    `anomaly`: see WindowDetector; `initial`: (J,) rad. Raises ScenarioError if no undisturbed run was finished.
+    `anomaly`: see WindowDetector; `initial`: (J,) rad. Raises InputError if no undisturbed run was finished.
     """
     errors = [anomaly(past_windows(trace.angles, initial)).T for trace in traces]
     done = [e for e, trace in zip(errors, traces, strict=True) if trace.kind == "none" and trace.success]
     if not done:
-        raise ScenarioError("no undisturbed validation task was finished: calibrate a network that does its task")
+        raise InputError("no undisturbed validation task was finished: calibrate a network that does its task")
     mean = np.concatenate(done).mean(axis=0)
     if np.any(mean == 0.0):
-        raise ScenarioError(f"joint {int(np.argmin(mean)) + 1} has no error at all on normal runs: fit on other runs")
+        raise InputError(f"joint {int(np.argmin(mean)) + 1} has no error at all on normal runs: fit on other runs")
     peaks: dict[str, list[float]] = {kind: [] for kind in ("normal", *DISTURBANCES[1:])}
     for e, trace in zip(errors, traces, strict=True):
         for name, ticks in (("normal", trace.before), (trace.kind, trace.after)):
@@ -121,7 +122,7 @@ def calibrate(
                 peaks[name].append(float((e[ticks] / mean).max()))
     disturbed = np.array(peaks["A"] + peaks["B"])
     if not len(disturbed):
-        raise ScenarioError("no disturbance came in any validation run: raise --disturbed")
+        raise InputError("no disturbance came in any validation run: raise --disturbed")
     return mean, best_gamma(np.array(peaks["normal"]), disturbed), peaks
 
 
@@ -175,17 +176,17 @@ def main(arguments: BaselinesArguments) -> int:
 def _check(arguments: BaselinesArguments) -> None:
     for method in arguments.method:
         if method not in METHODS:
-            raise ScenarioError(f"there is no method '{method}': choose from {', '.join(METHODS)}")
+            raise InputError(f"there is no method '{method}': choose from {', '.join(METHODS)}")
     if not arguments.method or not arguments.factors or not arguments.betas:
-        raise ScenarioError("methods, factors and betas need one value at least")
+        raise InputError("methods, factors and betas need one value at least")
     for name, values in (("factor", arguments.factors), ("beta", arguments.betas)):
         for value in values:
             if not (np.isfinite(value) and value > 0.0):
-                raise ScenarioError(f"the {name} {value} is out of range: choose a finite one above 0")
+                raise InputError(f"the {name} {value} is out of range: choose a finite one above 0")
     if len({path.parent.resolve() for path in arguments.policies}) != 1:
-        raise ScenarioError("the policies lie in several folders: put them into one, their baselines lie beside them")
+        raise InputError("the policies lie in several folders: put them into one, their baselines lie beside them")
     if importlib.util.find_spec("sklearn") is None:
-        raise ScenarioError("the baselines need scikit-learn: pip install -e '.[sweep]'")
+        raise InputError("the baselines need scikit-learn: pip install -e '.[sweep]'")
 
 
 def _file(arguments: BaselinesArguments, method: str) -> Path:
@@ -193,27 +194,27 @@ def _file(arguments: BaselinesArguments, method: str) -> Path:
 
 
 def _content(data: Path | None) -> str | None:
-    """The hash of the demonstrations; raises ScenarioError if there are none in the file."""
+    """The hash of the demonstrations; raises InputError if there are none in the file."""
     if data is None:
         return None
     try:
-        from models.dataset import DatasetError, read_header
+        from models.data.demonstrations import DatasetError, read_header
     except ModuleNotFoundError as absent:
-        raise ScenarioError(f"--data needs {absent.name}: pip install -e '.[train]'") from absent
+        raise InputError(f"--data needs {absent.name}: pip install -e '.[train]'") from absent
     try:
         return read_header(data).content_hash
     except DatasetError as error:
-        raise ScenarioError(str(error)) from error
+        raise InputError(str(error)) from error
 
 
 def _begun(file: Path, method: str, notes: dict[str, Any]) -> StoredDetector | None:
-    """What an earlier call left in `file`; raises ScenarioError if it was calibrated in another way: it is not written over."""
+    """What an earlier call left in `file`; raises InputError if it was calibrated in another way: it is not written over."""
     if not file.exists():
         return None
     found = load_detector(file, method)
     others = [name for name, value in notes.items() if found.metadata.get(name) != value]
     if others:
-        raise ScenarioError(
+        raise InputError(
             f"{file} was made with other {', '.join(others)} ({', '.join(str(found.metadata.get(name)) for name in others)}): "
             "give the same, or delete the file to calibrate anew"
         )
@@ -223,7 +224,7 @@ def _begun(file: Path, method: str, notes: dict[str, Any]) -> StoredDetector | N
 def _training_runs(arguments: BaselinesArguments, policies: dict[Path, Any]) -> list[np.ndarray]:
     """(T, J) rad each."""
     if arguments.data is not None:
-        from models.dataset import read_demonstrations
+        from models.data.demonstrations import read_demonstrations
 
         return [demo.posture[:, :ARM_JOINTS] for demo in read_demonstrations(arguments.data, "train")]
     traces = [
@@ -233,7 +234,7 @@ def _training_runs(arguments: BaselinesArguments, policies: dict[Path, Any]) -> 
     ]
     runs = [trace.angles for trace in traces if trace.success]
     if not runs:
-        raise ScenarioError(
+        raise InputError(
             f"none of {len(traces)} tasks was finished: fit on a network that does its task, or give --data"
         )
     return runs
@@ -296,6 +297,6 @@ def _try(
 if __name__ == "__main__":
     try:
         sys.exit(main(tyro.cli(BaselinesArguments, description=__doc__)))
-    except (ScenarioError, WeightsError) as error:
+    except (InputError, WeightsError) as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)

@@ -6,7 +6,7 @@
 2. The recall of each n is referred to an error that few of those runs reach (see reference): what lies farther back is recalled worse at times.
 3. gamma, times that: as many standard deviations above the peaks of normal runs as below those of disturbed ones (see threshold).
 4. If several go on, the one that finishes most disturbed validation episodes with its calibration (then: fastest undisturbed) is taken.
-Validation seeds are no evaluation's seeds (diagrams/draws.py).
+Validation seeds are no evaluation's seeds (diagrams/episodes/sampling.py).
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from diagrams.controllers import Calibration, never_fires
-from diagrams.draws import episode_seeds
-from diagrams.episode import Until
-from diagrams.scenario import WEIGHTS, ScenarioError, World
-from diagrams.workers import Job, Result, run_jobs
-from models.weights import WeightsError, load_policy, save_policy
+from diagrams.episodes.calibration import Calibration, never_fires
+from diagrams.episodes.episode import Until
+from diagrams.episodes.pool import Job, Result, run_jobs
+from diagrams.episodes.sampling import episode_seeds
+from diagrams.world.scenario import WEIGHTS, World
+from models.errors import InputError
+from models.files.weights import WeightsError, load_policy, save_policy
 
 BETA = 30.0  # the paper's
 
@@ -55,17 +56,17 @@ class Calibrated:
 def threshold(normal: np.ndarray, disturbed: np.ndarray) -> tuple[float, float]:
     """gamma between peaks of error ratios (R,), (D,), equally many standard deviations of their logarithms from either mean; and how many.
 
-    Not the middle of the gap: the extremes of some tens of runs say little about the next hundred. Raises ScenarioError with fewer than two
+    Not the middle of the gap: the extremes of some tens of runs say little about the next hundred. Raises InputError with fewer than two
     of either, or where the disturbed ones are no larger.
     """
     if min(len(normal), len(disturbed)) < 2:
-        raise ScenarioError(
+        raise InputError(
             "gamma needs two finished undisturbed and two disturbed episodes at least: raise their numbers"
         )
     low, high = np.log(normal), np.log(disturbed)
     spread = low.std(ddof=1) + high.std(ddof=1)
     if high.mean() <= low.mean():
-        raise ScenarioError(
+        raise InputError(
             "disturbed runs have no larger errors than normal ones: the recall tells nothing, train its heads longer"
         )
     deviations = (high.mean() - low.mean()) / spread if spread > 0.0 else np.inf
@@ -77,10 +78,10 @@ def reference(peaks: np.ndarray) -> np.ndarray:
     """(N + 1,) what a run's largest l_n exceeds in 2 of 100 runs, by the logarithms of `peaks` (R, N + 1): mean + 2 standard deviations.
 
     The paper refers l_n to its mean on normal runs. But far back the recall is poor for a few ticks of some runs: one gamma for all n must lie
-    above those, and misses stops that a small n tells. Raises ScenarioError for fewer than two runs.
+    above those, and misses stops that a small n tells. Raises InputError for fewer than two runs.
     """
     if len(peaks) < 2:
-        raise ScenarioError("reference errors need two finished undisturbed episodes at least: raise their number")
+        raise InputError("reference errors need two finished undisturbed episodes at least: raise their number")
     logs = np.log(peaks)
     return np.exp(logs.mean(axis=0) + 2.0 * logs.std(axis=0, ddof=1))
 
@@ -143,7 +144,7 @@ def main(arguments: CalibrateArguments) -> int:
         selection[policy] = {"none": _tally(policy, "none", undisturbed[policy])}
     most = max(entry["none"]["successes"] for entry in selection.values())
     if not most:
-        raise ScenarioError(f"no candidate finished one of {arguments.episodes} tasks: train longer before calibrating")
+        raise InputError(f"no candidate finished one of {arguments.episodes} tasks: train longer before calibrating")
     best: tuple[tuple[int, float], Path, Calibrated] | None = None
     finalists = [policy for policy in undisturbed if selection[policy]["none"]["successes"] == most]
     for policy in finalists:
@@ -204,6 +205,6 @@ def _tally(policy: Path, kind: str, results: list[Result]) -> dict:
 if __name__ == "__main__":
     try:
         sys.exit(main(tyro.cli(CalibrateArguments)))
-    except (ScenarioError, WeightsError) as error:
+    except (InputError, WeightsError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

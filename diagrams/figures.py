@@ -22,13 +22,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tyro
 
-from diagrams.controllers import policy_name
-from diagrams.draws import EpisodeDraws, episode_seeds
-from diagrams.episode import Episode, Outcome
-from diagrams.records import digest, load_record
-from diagrams.rollout import Record, Rollout
-from diagrams.scenario import DISTURBANCES, RNNS, WEIGHTS, ScenarioError, World
-from models.weights import WeightsError, load_autoencoder
+from diagrams.episodes.calibration import policy_name
+from diagrams.episodes.episode import Episode, Outcome
+from diagrams.episodes.record import digest, load_record
+from diagrams.episodes.rollout import Record, Rollout
+from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
+from diagrams.world.scenario import DISTURBANCES, RNNS, WEIGHTS, World
+from models.errors import InputError
+from models.files.weights import WeightsError, load_autoencoder
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,7 +64,7 @@ class Looks:
 
 def recall_losses(weights: Path) -> dict[str, np.ndarray]:
     """By the network's name (training seeds, N): the calibration's mean recall errors, n = 1..N, of the weight files that are there."""
-    from models.weights import load_policy
+    from models.files.weights import load_policy
 
     losses = {}
     for rnn in RNNS:
@@ -77,44 +78,44 @@ def recall_losses(weights: Path) -> dict[str, np.ndarray]:
 
 
 def read_sweeps(folders: list[Path]) -> pd.DataFrame:
-    """The episodes of the sweeps in `folders`; raises ScenarioError for a folder without, and for an episode that two of them have."""
+    """The episodes of the sweeps in `folders`; raises InputError for a folder without, and for an episode that two of them have."""
     import pandas as pd
 
     tables = []
     for folder in folders:
         path = folder / "episodes.parquet"
         if not path.is_file():
-            raise ScenarioError(f"{path} does not exist: run diagrams/sweep.py with --out {folder}, to its end")
+            raise InputError(f"{path} does not exist: run diagrams/sweep.py with --out {folder}, to its end")
         try:
             tables.append(pd.read_parquet(path))
         except (OSError, ValueError) as error:  # pyarrow's errors are ValueErrors
-            raise ScenarioError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
+            raise InputError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
     rows = pd.concat([table.astype(object) for table in tables], ignore_index=True).infer_objects()
     if rows.duplicated(["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]).any():
-        raise ScenarioError(
+        raise InputError(
             f"some episodes are in several of {', '.join(map(str, folders))}: they would count twice, give one"
         )
     return rows
 
 
 def read_records(paths: list[Path], rnn: str, weights_hash: str) -> dict[str, tuple[Record, dict]]:
-    """By the disturbance, records and outcomes; raises ScenarioError for two of one disturbance and for a run of another network or detector."""
+    """By the disturbance, records and outcomes; raises InputError for two of one disturbance and for a run of another network or detector."""
     found: dict[str, tuple[Record, dict]] = {}
     for path in paths:
         record, outcome = load_record(path)
         if outcome["weights_hash"] != weights_hash or outcome["detector"] != "recall":
-            raise ScenarioError(
+            raise InputError(
                 f"{path} is a run of other weights than {rnn}'s, or of another detector than the recall: "
                 "give --weights, --rnn and --training-seed of that run"
             )
         if outcome["disturbance"] in found:
-            raise ScenarioError(f"{path} is a second record of disturbance {outcome['disturbance']}: give one of each")
+            raise InputError(f"{path} is a second record of disturbance {outcome['disturbance']}: give one of each")
         found[outcome["disturbance"]] = record, outcome
     return found
 
 
 def require_same(outcome: Outcome, rows: pd.DataFrame) -> None:
-    """Raises ScenarioError unless the episode came out as in the sweep's row of the same weights."""
+    """Raises InputError unless the episode came out as in the sweep's row of the same weights."""
     row = rows[
         (rows["seed"] == outcome.seed)
         & (rows["disturbance"] == outcome.disturbance)
@@ -124,13 +125,13 @@ def require_same(outcome: Outcome, rows: pd.DataFrame) -> None:
     ]
     fields = ("success", "switch_success", "sim_seconds", "alpha_max_before")
     if row.empty or any(row.iloc[0][name] != getattr(outcome, name) for name in fields):
-        raise ScenarioError(
+        raise InputError(
             f"episode {outcome.seed} under disturbance {outcome.disturbance} does not come out as in the sweep: "
             "give --weights of the sweep, and the version of this program that made it"
         )
 
 
-def choose(kind: str, rows: pd.DataFrame | None, arguments: FiguresArguments, draws: EpisodeDraws) -> Episode:
+def choose(kind: str, rows: pd.DataFrame | None, arguments: FiguresArguments, draws: EpisodeSampler) -> Episode:
     """The episode to show under that disturbance; under B one in which the can is taken from the hand, if there is one."""
     if rows is None:
         seeds = episode_seeds("evaluation", arguments.seed, CANDIDATES if kind == "B" else 1)
@@ -144,7 +145,7 @@ def choose(kind: str, rows: pd.DataFrame | None, arguments: FiguresArguments, dr
             & rows["success"].notna()
         ]
         if mine.empty:
-            raise ScenarioError(
+            raise InputError(
                 f"the sweep has no episode of {arguments.rnn}, training seed {arguments.training_seed}, disturbance {kind}, "
                 "with the calibrated gamma: run it, or leave --sweep out"
             )
@@ -215,8 +216,8 @@ def principal_states(
     """What plots.save_states draws: the runs on the first principal components of all their hidden states, c_0 there, and the ratios."""
     from sklearn.decomposition import PCA
 
-    from diagrams.episode import HOME_TOLERANCE, LIFTED
-    from diagrams.station import CAN_HALF_HEIGHT
+    from diagrams.episodes.episode import HOME_TOLERANCE, LIFTED
+    from diagrams.world.station import CAN_HALF_HEIGHT
 
     pca = PCA(3).fit(np.concatenate([record.hidden_state for record in records.values()]))
     runs = {}
@@ -237,7 +238,7 @@ def gamma_curves(rows: pd.DataFrame) -> tuple[dict[str, list], dict[str, tuple[n
     another run, whether there would have been a false alarm and whether the disturbance would have been noticed; not whether the return and the
     resumption would have gone well, which takes the runs.
     """
-    from diagrams.sweep_summary import cells
+    from diagrams.sweeps.summary import cells
 
     swept = rows[rows["gamma"].notna()]
     curves: dict[str, list] = {}
@@ -265,27 +266,27 @@ def main(arguments: FiguresArguments) -> int:
     """Writes the figures and figures.json; returns the exit code."""
     import torch
 
-    from diagrams import plots
+    from diagrams.drawing import paper_figures as plots
     from models.inference import Encoder, Policy
 
     for name in ("sklearn", "pandas"):
         if importlib.util.find_spec(name) is None:
-            raise ScenarioError(f"the figures need {name}: pip install -e '.[sweep]'")
+            raise InputError(f"the figures need {name}: pip install -e '.[sweep]'")
     if arguments.rnn not in RNNS:
-        raise ScenarioError(f"there is no rnn '{arguments.rnn}': choose one of {', '.join(RNNS)}")
+        raise InputError(f"there is no rnn '{arguments.rnn}': choose one of {', '.join(RNNS)}")
     torch.set_num_threads(1)  # as in every sweep: the sums are the same
     world, out = World(), arguments.out
     encoder_path = arguments.weights / "cae.safetensors"
     encoder, decoder = Encoder(encoder_path), load_autoencoder(encoder_path)[0]
     policy = Policy(arguments.weights / policy_name(arguments.rnn, arguments.training_seed))
     if arguments.sweep and arguments.record:
-        raise ScenarioError("both --sweep and --record are given: choose one")
+        raise InputError("both --sweep and --record are given: choose one")
     rows = read_sweeps(arguments.sweep) if arguments.sweep else None
     given = read_records(arguments.record, arguments.rnn, policy.hash)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ScenarioError(f"{out} cannot be written ({error.strerror}): choose another --out") from error
+        raise InputError(f"{out} cannot be written ({error.strerror}): choose another --out") from error
     notes: dict[str, Any] = {"rnn": arguments.rnn, "weights_hash": policy.hash}
 
     losses = recall_losses(arguments.weights)
@@ -293,7 +294,7 @@ def main(arguments: FiguresArguments) -> int:
         plots.save_recall_loss(losses, out / "fig4_recall_loss.png")
         notes["recall_loss"] = {name: values.tolist() for name, values in losses.items()}
 
-    draws, rollout = EpisodeDraws(world), Rollout(world, encoder, policy)
+    draws, rollout = EpisodeSampler(world), Rollout(world, encoder, policy)
     records = {kind: record for kind, (record, _) in given.items()}
     notes["episodes"] = {kind: outcome for kind, (_, outcome) in given.items()}
     looks: dict[str, Looks] = {}
@@ -345,6 +346,6 @@ def main(arguments: FiguresArguments) -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main(tyro.cli(FiguresArguments, description=__doc__)))
-    except (ScenarioError, WeightsError) as error:
+    except (InputError, WeightsError) as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)

@@ -17,7 +17,8 @@ from typing import Annotated
 
 import tyro
 
-from diagrams.scenario import WEIGHTS, Scenario, ScenarioError, load_scenario
+from diagrams.world.scenario import WEIGHTS, Scenario, load_scenario
+from models.errors import InputError
 
 
 @dataclass
@@ -48,7 +49,7 @@ def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
         cli = tyro.cli(PickPlaceArguments, args=arguments, default=defaults)
     cli.check()
     if not 0.0 <= cli.realtime_rate < math.inf:
-        raise ScenarioError(
+        raise InputError(
             f"the real-time rate {cli.realtime_rate} is negative or not finite: choose 0 (as fast as possible) or more"
         )
     return cli
@@ -61,13 +62,13 @@ def main(cli: PickPlaceArguments) -> int:
     from pydrake.geometry import Meshcat, MeshcatParams
     from tqdm import tqdm
 
-    from diagrams.controllers import make_detector
-    from diagrams.draws import EpisodeDraws
-    from diagrams.graph import FORMATS, save_graph
-    from diagrams.records import save_record
-    from diagrams.rollout import Rollout
-    from diagrams.timeline import FORMATS as PLOT_FORMATS
-    from diagrams.timeline import save_timeline
+    from diagrams.drawing.graph import FORMATS, save_graph
+    from diagrams.drawing.timeline import FORMATS as PLOT_FORMATS
+    from diagrams.drawing.timeline import save_timeline
+    from diagrams.episodes.calibration import make_detector
+    from diagrams.episodes.record import save_record
+    from diagrams.episodes.rollout import Rollout
+    from diagrams.episodes.sampling import EpisodeSampler
     from models.inference import Encoder, Policy
 
     torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
@@ -78,10 +79,10 @@ def main(cli: PickPlaceArguments) -> int:
         (cli.log, (".npz",)),
     ):
         if path is not None and path.suffix not in formats:
-            raise ScenarioError(
+            raise InputError(
                 f"{path.name} has no format that can be written: choose a name that ends in {', '.join(formats)}"
             )
-    episode = EpisodeDraws(cli.world).episode(cli)
+    episode = EpisodeSampler(cli.world).episode(cli)
     encoder, policy = Encoder(cli.weights / "cae.safetensors"), Policy(cli.weights / f"{cli.rnn}.safetensors")
     detector = make_detector(cli.detector, policy, cli.weights)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
@@ -141,12 +142,12 @@ def _yes(value: bool) -> str:
 
 
 def _prepare(path: Path) -> None:
-    """Raises ScenarioError unless `path` can be written, before an episode is run for it."""
+    """Raises InputError unless `path` can be written, before an episode is run for it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.open("ab").close()  # touch() is content with a folder
     except OSError as error:
-        raise ScenarioError(f"{path} cannot be written ({error.strerror}): choose another name") from error
+        raise InputError(f"{path} cannot be written ({error.strerror}): choose another name") from error
 
 
 def _bad_input(error: Exception) -> int:
@@ -155,9 +156,9 @@ def _bad_input(error: Exception) -> int:
 
 
 if __name__ == "__main__":
-    from models.weights import WeightsError
+    from models.files.weights import WeightsError
 
     try:
         sys.exit(main(parse()))
-    except (ScenarioError, WeightsError) as error:
+    except (InputError, WeightsError) as error:
         sys.exit(_bad_input(error))

@@ -21,16 +21,17 @@ from typing import Any, Literal
 
 import tyro
 
-from diagrams.controllers import learned_hash, policy_name, stored_calibration
-from diagrams.draws import SEED_BLOCKS, SEEDS_APART, episode_seeds
-from diagrams.scenario import DETECTORS, DISTURBANCES, RNNS, WEIGHTS, ScenarioError
-from models.weights import WeightsError
+from diagrams.episodes.calibration import learned_hash, policy_name, stored_calibration
+from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
+from diagrams.world.scenario import DETECTORS, DISTURBANCES, RNNS, WEIGHTS
+from models.errors import InputError
+from models.files.weights import WeightsError
 
 try:
     from distributed import Client, LocalCluster, as_completed
 
-    from diagrams.sweep_store import EpisodeStore
-    from diagrams.sweep_task import ENCODER, HASHES, RECORD, Task, WeightFiles, error_row, run_task
+    from diagrams.sweeps.store import EpisodeStore
+    from diagrams.sweeps.task import ENCODER, HASHES, RECORD, Task, WeightFiles, error_row, run_task
 except ModuleNotFoundError as absent:
     print(f"error: a sweep needs {absent.name}: pip install -e '.[sweep]'", file=sys.stderr)
     sys.exit(2)
@@ -58,7 +59,7 @@ class SweepArguments:
 
 
 def check(arguments: SweepArguments) -> None:
-    """Raises ScenarioError for a value outside its choices."""
+    """Raises InputError for a value outside its choices."""
     for name, values, choices in (
         ("rnn", arguments.rnn, RNNS),
         ("detector", arguments.detector, DETECTORS),
@@ -66,9 +67,9 @@ def check(arguments: SweepArguments) -> None:
     ):
         for value in values:
             if value not in choices:
-                raise ScenarioError(f"there is no {name} '{value}': choose from {', '.join(choices)}")
+                raise InputError(f"there is no {name} '{value}': choose from {', '.join(choices)}")
         if not values:
-            raise ScenarioError(f"no {name} is given: choose from {', '.join(choices)}")
+            raise InputError(f"no {name} is given: choose from {', '.join(choices)}")
     for what, number, least, most in (
         ("number of episodes", arguments.episodes, 1, SEEDS_APART),
         ("seed", arguments.seed, 0, SEED_BLOCKS - 1),
@@ -76,23 +77,23 @@ def check(arguments: SweepArguments) -> None:
         *(("training seed", seed, 0, 999) for seed in arguments.training_seeds),
     ):
         if not least <= number <= most:
-            raise ScenarioError(f"the {what} {number} is out of range: choose from {least} to {most}")
+            raise InputError(f"the {what} {number} is out of range: choose from {least} to {most}")
     for gamma in arguments.gamma:
         if not (math.isfinite(gamma) and gamma > 0.0):
-            raise ScenarioError(f"the gamma {gamma} is out of range: choose a finite one above 0")
+            raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
     if arguments.log and arguments.until != "task":
-        raise ScenarioError("--log keeps whole episodes, which --until switching cuts short: leave one of them out")
+        raise InputError("--log keeps whole episodes, which --until switching cuts short: leave one of them out")
     if not arguments.training_seeds:
-        raise ScenarioError("no training seed is given: choose from 0 on")
+        raise InputError("no training seed is given: choose from 0 on")
 
 
 def plan(arguments: SweepArguments) -> tuple[list[Task], WeightFiles]:
     """The episodes in the order of the table, and the files that they need.
 
-    Raises WeightsError or ScenarioError if a file is missing, damaged, or does not fit the others.
+    Raises WeightsError or InputError if a file is missing, damaged, or does not fit the others.
     """
+    from models.files.weights import file_hash, load_autoencoder
     from models.inference import Policy
-    from models.weights import file_hash, load_autoencoder
 
     folder = arguments.weights
     names = {ENCODER} | {f"{name}.safetensors" for name in arguments.detector if name != "recall"}
@@ -142,7 +143,7 @@ def connect(scheduler: str | None, workers: int) -> Iterator[Client]:
         try:
             client = Client(scheduler, timeout=20)
         except (OSError, ValueError) as error:
-            raise ScenarioError(f"there is no Dask scheduler at {scheduler} ({error}): check the address") from error
+            raise InputError(f"there is no Dask scheduler at {scheduler} ({error}): check the address") from error
         with client:
             yield client
         return
@@ -202,7 +203,7 @@ def main(arguments: SweepArguments) -> int:
     rows = store.read(task.key for task in tasks)
     for task in tasks:
         if task.key in rows and any(rows[task.key][name] != getattr(task, name) for name in HASHES):
-            raise ScenarioError(
+            raise InputError(
                 f"{arguments.out} holds episodes of other weights than {arguments.weights} has now: choose another --out"
             )
     missing = [t for t in tasks if t.key not in rows or (arguments.retry_errors and rows[t.key]["error"] is not None)]
@@ -234,7 +235,7 @@ def finish(arguments: SweepArguments, store: EpisodeStore, rows: list[dict[str, 
     """Writes and prints what the rows say; returns the exit code."""
     import pandas as pd
 
-    from diagrams.sweep_summary import cells, comparisons, table
+    from diagrams.sweeps.summary import cells, comparisons, table
 
     path = store.finish(rows)
     frame = pd.read_parquet(path)
@@ -255,6 +256,6 @@ def finish(arguments: SweepArguments, store: EpisodeStore, rows: list[dict[str, 
 if __name__ == "__main__":
     try:
         sys.exit(main(tyro.cli(SweepArguments, description=__doc__)))
-    except (ScenarioError, WeightsError) as error:
+    except (InputError, WeightsError) as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)

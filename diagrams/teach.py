@@ -20,7 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from diagrams.scenario import SPOTS, ScenarioError, World
+from diagrams.world.scenario import SPOTS, World
+from models.errors import InputError
 
 LAYOUT_VERSION = 2
 
@@ -63,8 +64,8 @@ class Teacher:
     def __init__(self, world: World):
         from pydrake.systems.analysis import Simulator
 
-        from diagrams.kinematics import HandKinematics
-        from diagrams.station import ARM_JOINTS, PickPlaceStation
+        from diagrams.world.inverse_kinematics import HandKinematics
+        from diagrams.world.station import ARM_JOINTS, PickPlaceStation
 
         self.world = world
         self.station = PickPlaceStation(world)
@@ -73,9 +74,9 @@ class Teacher:
 
     def give(self, lesson: Lesson) -> dict:
         """Runs one lesson; returns rgb (T,112,112,3), posture (T,8), actions (T,8), can_xy, success."""
-        from diagrams import demonstration
-        from diagrams.episode import TaskMonitor
-        from diagrams.station import CAN_HALF_HEIGHT
+        from diagrams.episodes.episode import TaskMonitor
+        from diagrams.world import trajectory as demonstration
+        from diagrams.world.station import CAN_HALF_HEIGHT
 
         world, station, simulator = self.world, self.station, self.simulator
         can_xy = world.grid.position(*lesson.grid_index)
@@ -134,7 +135,7 @@ def _write(file, lesson: Lesson, demo: dict) -> None:
         group.create_dataset(
             key, data=array, compression="gzip", compression_opts=1, chunks=(min(32, len(array)), *array.shape[1:])
         )
-    from diagrams.demonstration import SUBTASK_STEPS
+    from diagrams.world.trajectory import SUBTASK_STEPS
 
     group.attrs.update(
         num_samples=len(demo["actions"]),
@@ -169,11 +170,11 @@ def main(arguments: TeachArguments) -> int:
     for name, least in (("seed", 0), ("workers", 1), ("limit", 1)):
         value = getattr(arguments, name)
         if value is not None and value < least:
-            raise ScenarioError(f"--{name} {value} is too small: choose {least} or more")
+            raise InputError(f"--{name} {value} is too small: choose {least} or more")
     try:
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ScenarioError(f"{arguments.out} cannot be written ({error.strerror}): choose another --out") from error
+        raise InputError(f"{arguments.out} cannot be written ({error.strerror}): choose another --out") from error
     world = World()
     todo = lessons(world, arguments.seed)[: arguments.limit]
     settings = json.dumps(
@@ -182,13 +183,13 @@ def main(arguments: TeachArguments) -> int:
     try:
         file = h5py.File(arguments.out, "a")
     except OSError as error:
-        raise ScenarioError(
+        raise InputError(
             f"{arguments.out} cannot be opened as HDF5 ({error}): if a kill in the middle of a write broke it, delete it"
         ) from error
     with file:
         data = file.require_group("data")
         if data.attrs.get("env_args", settings) != settings:
-            raise ScenarioError(
+            raise InputError(
                 f"{arguments.out} was recorded with another seed or another world: delete it or choose another --out"
             )
         data.attrs.update(
@@ -235,6 +236,6 @@ if __name__ == "__main__":
 
     try:
         sys.exit(main(tyro.cli(TeachArguments)))
-    except ScenarioError as error:
+    except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -10,8 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from models.cae import CHANNELS, FEATURE_SIZE, IMAGE_SIZE, to_image
-from models.weights import WeightsError, file_hash, load_autoencoder, load_policy, read_autoencoder
+from models.files.weights import WeightsError, file_hash, load_autoencoder, load_policy, read_autoencoder
+from models.networks.cae import CHANNELS, FEATURE_SIZE, IMAGE_SIZE, to_image
 
 
 class _FoldedConvolution:

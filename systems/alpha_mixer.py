@@ -4,8 +4,8 @@ import numpy as np
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from systems.arguments import require_bounds, require_count, require_vector
 from systems.elementwise import clamp, maximum
-from systems.validation import require_bounds, require_count, require_vector
 
 
 @TemplateSystem.define("AlphaMixer_")

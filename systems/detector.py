@@ -19,8 +19,8 @@ import numpy as np
 from pydrake.systems.framework import LeafSystem_, System
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from systems.arguments import require_count, require_positive, require_vector
 from systems.elementwise import maximum, sigmoid
-from systems.validation import require_count, require_positive, require_vector
 
 
 def declare_detector_inputs(system, *, posture_size: int, horizon: int, state_size: int) -> tuple:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
-from systems.validation import require_count, require_positive, require_vector
+from systems.arguments import require_count, require_positive, require_vector
 
 KINDS = ("none", "A", "B")
 

@@ -4,7 +4,7 @@ from pydrake.symbolic import Expression, if_then_else, logical_and, logical_or
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from systems.validation import require_count
+from systems.arguments import require_count
 
 GUARD = 0.5  # alpha below it: the network has the arm
 

@@ -5,7 +5,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from pydrake.systems.sensors import ImageRgba8U
 
-from systems.validation import require_count
+from systems.arguments import require_count
 
 
 class ImageEncoder(LeafSystem):

@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from systems.validation import require_count
+from systems.arguments import require_count
 
 
 @TemplateSystem.define("LoopCloser_")

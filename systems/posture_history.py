@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from systems.validation import require_count, require_positive, require_vector
+from systems.arguments import require_count, require_positive, require_vector
 
 
 class PostureHistory(LeafSystem):

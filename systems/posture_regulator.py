@@ -6,7 +6,7 @@ from pydrake.systems.controllers import LinearQuadraticRegulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import AffineSystem, LinearSystem
 
-from systems.validation import require_count, require_positive, require_vector
+from systems.arguments import require_count, require_positive, require_vector
 
 
 def _as_weight(name: str, value, size: int) -> np.ndarray:

@@ -4,13 +4,13 @@ import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import AffineSystem
 
+from systems.arguments import require_bounds, require_count, require_positive, require_vector
 from systems.detector import RecallDetector
 from systems.image_encoder import ImageEncoder
 from systems.posture_history import PostureHistory
 from systems.posture_regulator import lqr, make_posture_regulator
 from systems.recurrent_policy import RecurrentPolicy
 from systems.switching_law import SwitchingLaw
-from systems.validation import require_bounds, require_count, require_positive, require_vector
 
 
 class SwitchedController(Diagram):

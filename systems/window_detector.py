@@ -3,9 +3,9 @@
 import numpy as np
 from pydrake.systems.framework import LeafSystem
 
+from systems.arguments import require_bounds, require_count, require_positive, require_vector
 from systems.detector import declare_detector_inputs
 from systems.elementwise import maximum, sigmoid
-from systems.validation import require_bounds, require_count, require_positive, require_vector
 
 
 class WindowDetector(LeafSystem):

@@ -2,9 +2,9 @@
 
 import pytest
 import torch
-from untrained import save_untrained
 
 from models.inference import Encoder, Policy
+from tests.diagrams.untrained import save_untrained
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -10,12 +10,12 @@ import pytest
 import torch
 from pydrake.systems.analysis import Simulator
 
-from diagrams.episode import Episode
-from diagrams.rollout import Rollout
-from diagrams.scenario import World
-from diagrams.station import PickPlaceStation
-from models.cae import to_image
-from models.weights import load_autoencoder
+from diagrams.episodes.episode import Episode
+from diagrams.episodes.rollout import Rollout
+from diagrams.world.scenario import World
+from diagrams.world.station import PickPlaceStation
+from models.files.weights import load_autoencoder
+from models.networks.cae import to_image
 
 ROUNDS = 50
 

@@ -7,14 +7,14 @@ import contextlib
 import time
 
 import pytest
-import sweep_fakes
 
-from diagrams import rollout
-from diagrams.scenario import World
+from diagrams.episodes import rollout
+from diagrams.episodes.pool import Controller, Job, Worker
 from diagrams.sweep import SweepArguments, connect, execute, plan
-from diagrams.sweep_store import EpisodeStore
-from diagrams.sweep_task import ENCODER
-from diagrams.workers import Controller, Job, Worker
+from diagrams.sweeps.store import EpisodeStore
+from diagrams.sweeps.task import ENCODER
+from diagrams.world.scenario import World
+from tests.diagrams import sweep_fakes
 
 EPISODES = 8  # a round
 ROUNDS = 3

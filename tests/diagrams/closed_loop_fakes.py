@@ -6,12 +6,12 @@ LQR, the recall tells where the arm should have been, and under alpha = 1 the ne
 
 import numpy as np
 
-from diagrams.demonstration import SUBTASK_STEPS, commands, subtask_waypoints
-from diagrams.episode import Episode
-from diagrams.kinematics import HandKinematics
-from diagrams.scenario import SPOTS, World
-from diagrams.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation
-from models.scaling import MinMaxScaling
+from diagrams.episodes.episode import Episode
+from diagrams.world.inverse_kinematics import HandKinematics
+from diagrams.world.scenario import SPOTS, World
+from diagrams.world.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation
+from diagrams.world.trajectory import SUBTASK_STEPS, commands, subtask_waypoints
+from models.data.scaling import MinMaxScaling
 
 WAITING, PICKING, PLACING, PICKING_AGAIN = range(4)
 SETTLING = 8  # ticks after a recovery in which SwitchedController does not listen to the network

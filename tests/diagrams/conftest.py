@@ -1,13 +1,13 @@
 """Fixtures: one station, one kinematics, one closed loop with fakes a process."""
 
 import pytest
-from closed_loop_fakes import FakeEncoder, FakePolicy
 
-from diagrams.draws import EpisodeDraws
-from diagrams.kinematics import HandKinematics
-from diagrams.rollout import Rollout
-from diagrams.scenario import World
-from diagrams.station import ARM_JOINTS, PickPlaceStation
+from diagrams.episodes.rollout import Rollout
+from diagrams.episodes.sampling import EpisodeSampler
+from diagrams.world.inverse_kinematics import HandKinematics
+from diagrams.world.scenario import World
+from diagrams.world.station import ARM_JOINTS, PickPlaceStation
+from tests.diagrams.closed_loop_fakes import FakeEncoder, FakePolicy
 
 
 @pytest.fixture(scope="session")
@@ -27,7 +27,7 @@ def hand(world):
 
 @pytest.fixture(scope="session")
 def draws(world):
-    return EpisodeDraws(world)
+    return EpisodeSampler(world)
 
 
 @pytest.fixture(scope="session")

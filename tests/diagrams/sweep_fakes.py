@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diagrams.sweep_task import Task
+from diagrams.sweeps.task import Task
 
 PAUSE = 0.05  # s
 
@@ -65,7 +65,8 @@ def deadly_task(task: Task) -> dict:
 
 def short_task(task: Task) -> dict:
     """A real episode with 4 s to do the task in, and how long it took (`wall_seconds`), drawing included."""
-    from diagrams import rollout, sweep_task
+    from diagrams.episodes import rollout
+    from diagrams.sweeps import task as sweep_task
 
     rollout.TIME_LIMIT = 4.0
     started = time.perf_counter()

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_calibrate import OUTCOME
-from untrained import save_untrained
 
-from diagrams import baselines, controllers
-from diagrams import rollout as rollout_module
+from diagrams import baselines
 from diagrams.baselines import BaselinesArguments, Trace, best_gamma, calibrate, digest_trace, past_windows
-from diagrams.controllers import (
+from diagrams.episodes import calibration as controllers
+from diagrams.episodes import rollout as rollout_module
+from diagrams.episodes.calibration import (
     OFF,
     Calibration,
     Controller,
@@ -20,16 +19,19 @@ from diagrams.controllers import (
     policy_name,
     stored_calibration,
 )
-from diagrams.draws import SEED_BASE
+from diagrams.episodes.pool import Job, Worker
+from diagrams.episodes.sampling import SEED_BASE
 from diagrams.pick_place import parse
-from diagrams.scenario import ScenarioError, World
-from diagrams.workers import Job, Worker
+from diagrams.world.scenario import World
+from models.errors import InputError
+from models.files.baselines import StoredDetector, load_detector, save_detector
+from models.files.weights import WeightsError
 from models.inference import Policy
-from models.weights import WeightsError
-from models.windows import StoredDetector, load_detector, save_detector
 from systems.detector import RecallDetector
 from systems.knn_detector import KnnDetector
 from systems.subspace_detector import SubspaceDetector
+from tests.diagrams.test_calibrate import OUTCOME
+from tests.diagrams.untrained import save_untrained
 
 
 @pytest.mark.parametrize(
@@ -81,10 +83,10 @@ def test_calibration_by_hand():
 
 def test_calibration_needs_runs():
     failed = Trace("none", False, ramp(0.1), slice(0, 40), slice(40, 45))
-    with pytest.raises(ScenarioError, match="no undisturbed validation task"):
+    with pytest.raises(InputError, match="no undisturbed validation task"):
         calibrate(rise_and_offset, [failed], np.ones(2))
     done = Trace("none", True, ramp(0.1), slice(0, 40), slice(40, 45))
-    with pytest.raises(ScenarioError, match="no disturbance came"):
+    with pytest.raises(InputError, match="no disturbance came"):
         calibrate(rise_and_offset, [done], np.ones(2))
 
 
@@ -131,7 +133,7 @@ def fitted(folder):
         asked_once = list(asked)
         # Again: what is there is kept, and never written over by other trials; another network is added to the same fit.
         assert baselines.main(arguments) == 0
-        with pytest.raises(ScenarioError, match=r"knn.safetensors was made with other disturbed \(3\)"):
+        with pytest.raises(InputError, match=r"knn.safetensors was made with other disturbed \(3\)"):
             baselines.main(replace(arguments, method=["knn"], disturbed=2))
         assert asked == asked_once
         save_untrained(folder / "other", gain=0.2)
@@ -186,7 +188,7 @@ def test_detectors_by_name(folder, fitted):
         assert isinstance(detector, cls)
         assert detector.GetOutputPort("errors").size() == 7
     assert isinstance(make_detector("recall", policy, folder), RecallDetector)
-    with pytest.raises(ScenarioError, match="no detector 'svm'"):
+    with pytest.raises(InputError, match="no detector 'svm'"):
         make_detector("svm", policy, folder)
 
 
@@ -219,7 +221,7 @@ def test_what_is_missing_is_said(folder, tmp_path, fitted, monkeypatch):
         raise ModuleNotFoundError("No module named 'sklearn'", name="sklearn")
 
     monkeypatch.setattr("systems.knn_detector.KnnDetector", absent)
-    with pytest.raises(ScenarioError, match=r"knn needs sklearn: pip install"):
+    with pytest.raises(InputError, match=r"knn needs sklearn: pip install"):
         make_detector("knn", policy, folder)
 
 
@@ -239,13 +241,13 @@ def test_bad_input_is_refused(folder, changes, named):
     for name, value in changes.items():
         setattr(arguments, name, Path(value) if name == "data" else value)
     arguments.policies = [Path(path) for path in arguments.policies]
-    with pytest.raises(ScenarioError, match=named):
+    with pytest.raises(InputError, match=named):
         baselines.main(arguments)
 
 
 def test_names():
     assert [policy_name("gru", seed) for seed in (0, 1)] == ["gru.safetensors", "gru-1.safetensors"]
     assert parse(["--detector", "knn"]).detector == "knn"
-    with pytest.raises(ScenarioError, match="no detector 'svm'"):
+    with pytest.raises(InputError, match="no detector 'svm'"):
         parse(["--detector", "svm"])
     assert controllers.DETECTORS == ("recall", "knn", "subspace")

@@ -4,17 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from untrained import save_untrained
 
-from diagrams import calibrate, workers
-from diagrams import rollout as rollout_module
+from diagrams import calibrate
 from diagrams.calibrate import CalibrateArguments, reference, threshold
-from diagrams.controllers import OFF, Calibration, Controller
-from diagrams.draws import SEED_BASE
-from diagrams.episode import Outcome
-from diagrams.scenario import ScenarioError, World
-from diagrams.workers import Job, Result
-from models.weights import WeightsError, load_policy
+from diagrams.episodes import pool as workers
+from diagrams.episodes import rollout as rollout_module
+from diagrams.episodes.calibration import OFF, Calibration, Controller
+from diagrams.episodes.episode import Outcome
+from diagrams.episodes.pool import Job, Result
+from diagrams.episodes.sampling import SEED_BASE
+from diagrams.world.scenario import World
+from models.errors import InputError
+from models.files.weights import WeightsError, load_policy
+from tests.diagrams.untrained import save_untrained
 
 OUTCOME = Outcome(
     seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True, placed=True,
@@ -78,7 +80,7 @@ def test_reference_by_hand():
     # Logarithms 1, 3: mean 2, deviation sqrt(2); and 5, 5.
     found = reference(np.exp([[1.0, 5.0], [3.0, 5.0]]))
     assert np.log(found) == pytest.approx([2.0 + 2.0 * np.sqrt(2.0), 5.0])
-    with pytest.raises(ScenarioError, match="two finished"):
+    with pytest.raises(InputError, match="two finished"):
         reference(np.ones((1, 3)))
 
 
@@ -94,7 +96,7 @@ def test_threshold_by_hand():
     [([1.0], [9.0, 9.0], "two finished"), ([5.0, 6.0], [5.0, 5.5], "no larger errors")],
 )
 def test_no_threshold_where_nothing_tells_the_runs_apart(normal, disturbed, named):
-    with pytest.raises(ScenarioError, match=named):
+    with pytest.raises(InputError, match=named):
         threshold(np.array(normal), np.array(disturbed))
 
 
@@ -104,7 +106,7 @@ def test_calibration_without_any_success_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(
         calibrate, "run_jobs", lambda *a, **k: (result(job, success=False) for job in a[3])
     )  # fmt: skip
-    with pytest.raises(ScenarioError, match="train longer"):
+    with pytest.raises(InputError, match="train longer"):
         calibrate.main(CalibrateArguments([candidate], tmp_path / "out", folder / "cae.safetensors"))
 
 
@@ -115,7 +117,7 @@ def test_an_error_of_a_process_is_the_program_s(tmp_path):
     )
     with pytest.raises(WeightsError, match="nowhere: the weight file does not exist"):
         calibrate.main(arguments)
-    with pytest.raises(ScenarioError, match="number of workers 0 is too small"):
+    with pytest.raises(InputError, match="number of workers 0 is too small"):
         calibrate.main(replace(arguments, workers=0))
 
 

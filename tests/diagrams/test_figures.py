@@ -6,21 +6,23 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_pictures import PNG, record
-from test_sweep_summary import frame
-from untrained import save_untrained
 
-from diagrams import figures, plots
-from diagrams import rollout as rollout_module
-from diagrams.controllers import Controller
-from diagrams.draws import SEED_BASE
-from diagrams.episode import Episode
+from diagrams import figures
+from diagrams.drawing import paper_figures as plots
+from diagrams.episodes import rollout as rollout_module
+from diagrams.episodes.calibration import Controller
+from diagrams.episodes.episode import Episode
+from diagrams.episodes.pool import Job, Worker
+from diagrams.episodes.record import save_record
+from diagrams.episodes.sampling import SEED_BASE
 from diagrams.figures import FiguresArguments, Looks
-from diagrams.records import save_record
-from diagrams.scenario import ScenarioError, World
-from diagrams.workers import Job, Worker
-from models.cae import ConvolutionalAutoencoder
-from models.weights import WeightsError
+from diagrams.world.scenario import World
+from models.errors import InputError
+from models.files.weights import WeightsError
+from models.networks.cae import ConvolutionalAutoencoder
+from tests.diagrams.drawing.test_pictures import PNG, record
+from tests.diagrams.sweeps.test_summary import frame
+from tests.diagrams.untrained import save_untrained
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +110,7 @@ def test_sweeps_are_read_together_and_no_episode_twice(tmp_path):
     assert rows["success"].tolist() == [True, False, None, None]
     assert rows["gamma"].isna().tolist() == [True, True, False, False]
     assert rows["gamma"].dtype == float
-    with pytest.raises(ScenarioError, match="they would count twice"):
+    with pytest.raises(InputError, match="they would count twice"):
         figures.read_sweeps([tmp_path / "own", tmp_path / "own"])
 
 
@@ -116,7 +118,7 @@ def test_the_episode_in_which_all_went_well_is_shown(draws):
     arguments = FiguresArguments()
     rows = frame("lstm", [0, 0, 1, 1], disturbance="A")
     assert figures.choose("A", rows, arguments, draws).seed == 2
-    with pytest.raises(ScenarioError, match="no episode of lstm, training seed 0, disturbance B"):
+    with pytest.raises(InputError, match="no episode of lstm, training seed 0, disturbance B"):
         figures.choose("B", rows, arguments, draws)
     base = SEED_BASE["evaluation"] + 10_000
     assert figures.choose("none", None, FiguresArguments(seed=1), draws).seed == base
@@ -182,11 +184,11 @@ def test_from_records(tmp_path, weights, monkeypatch, capsys):
     assert "does not come out again" in capsys.readouterr().out
     assert not (tmp_path / "other" / "fig6_reconstructions.png").exists()
 
-    with pytest.raises(ScenarioError, match="second record of disturbance B"):
+    with pytest.raises(InputError, match="second record of disturbance B"):
         figures.main(FiguresArguments(record=[paths[1], paths[1]], **common))
     outcome.weights_hash = "another"
     save_record(paths[1], record, outcome)
-    with pytest.raises(ScenarioError, match=r"B.npz is a run of other weights than lstm's"):
+    with pytest.raises(InputError, match=r"B.npz is a run of other weights than lstm's"):
         figures.main(FiguresArguments(record=paths, **common))
 
 
@@ -198,18 +200,18 @@ def test_a_sweep_is_not_drawn_as_what_it_was_not(tmp_path, weights, monkeypatch)
     row = pd.DataFrame([outcome.to_dict() | {"gamma": np.nan}])
     figures.require_same(outcome, row)
     for changed in ({"weights_hash": "another"}, {"success": True}, {"alpha_max_before": 0.5}):
-        with pytest.raises(ScenarioError, match="episode 5 under disturbance none does not come out as in the sweep"):
+        with pytest.raises(InputError, match="episode 5 under disturbance none does not come out as in the sweep"):
             figures.require_same(outcome, row.assign(**changed))
 
 
 @pytest.mark.parametrize(
     ("changes", "error", "named"),
     [
-        ({"rnn": "rnn"}, ScenarioError, "no rnn 'rnn'"),
+        ({"rnn": "rnn"}, InputError, "no rnn 'rnn'"),
         ({"rnn": "gru"}, WeightsError, "gru.safetensors"),
-        ({"sweep": ["nowhere"]}, ScenarioError, "episodes.parquet does not exist: run diagrams/sweep.py"),
-        ({"sweep": ["damaged"]}, ScenarioError, "episodes.parquet is damaged"),
-        ({"out": "/dev/null/out"}, ScenarioError, "cannot be written"),
+        ({"sweep": ["nowhere"]}, InputError, "episodes.parquet does not exist: run diagrams/sweep.py"),
+        ({"sweep": ["damaged"]}, InputError, "episodes.parquet is damaged"),
+        ({"out": "/dev/null/out"}, InputError, "cannot be written"),
     ],
 )
 def test_bad_input_is_refused(tmp_path, weights, changes, error, named, monkeypatch):

@@ -5,11 +5,12 @@ import subprocess
 import sys
 
 import pytest
-from untrained import save_untrained
 
 from diagrams import pick_place
 from diagrams.pick_place import parse
-from diagrams.scenario import RNNS, ROOT, WEIGHTS, ScenarioError
+from diagrams.world.scenario import RNNS, ROOT, WEIGHTS
+from models.errors import InputError
+from tests.diagrams.untrained import save_untrained
 
 PROGRAM = ROOT / "diagrams" / "pick_place.py"
 # As the issue lists them.
@@ -87,7 +88,7 @@ def test_damaged_weights_are_one_clear_line(tmp_path, untrained):
 def test_weights_that_do_not_fit_together_are_bad_input(tmp_path, monkeypatch, changes, named):
     monkeypatch.chdir(tmp_path)
     folder = save_untrained(tmp_path / "weights", **changes)
-    with pytest.raises(ScenarioError, match=named):
+    with pytest.raises(InputError, match=named):
         pick_place.main(parse(["--weights", str(folder)]))
     assert list(tmp_path.iterdir()) == [folder]  # no empty outputs
 
@@ -130,7 +131,7 @@ def test_every_option_of_the_issue_is_understood():
 
 @pytest.mark.parametrize("rate", ["-1", "nan", "inf"])
 def test_a_rate_that_is_none_is_refused(rate):
-    with pytest.raises(ScenarioError, match=f"real-time rate {float(rate)} is negative or not finite"):
+    with pytest.raises(InputError, match=f"real-time rate {float(rate)} is negative or not finite"):
         parse(["--realtime-rate", rate])
 
 

@@ -12,19 +12,21 @@ from pathlib import Path
 import dask
 import pyarrow.parquet as pq
 import pytest
-import sweep_fakes
 from distributed import LocalCluster
-from untrained import save_untrained
 
-from diagrams import rollout as rollout_module
-from diagrams import sweep, sweep_task
-from diagrams.draws import SEED_BASE, SEEDS_APART
-from diagrams.records import find_records, load_record
-from diagrams.scenario import ROOT, ScenarioError
+from diagrams import sweep
+from diagrams.episodes import rollout as rollout_module
+from diagrams.episodes.record import find_records, load_record
+from diagrams.episodes.sampling import SEED_BASE, SEEDS_APART
 from diagrams.sweep import SweepArguments, connect, execute
-from diagrams.sweep_store import SCHEMA, TIMES, EpisodeStore
-from diagrams.sweep_task import Task, error_row, run_in
-from models.weights import WeightsError
+from diagrams.sweeps import task as sweep_task
+from diagrams.sweeps.store import SCHEMA, TIMES, EpisodeStore
+from diagrams.sweeps.task import Task, error_row, run_in
+from diagrams.world.scenario import ROOT
+from models.errors import InputError
+from models.files.weights import WeightsError
+from tests.diagrams import sweep_fakes
+from tests.diagrams.untrained import save_untrained
 
 FAKE_SWEEP = Path(__file__).parent / "sweep_fakes.py"
 # As pick_place.py --json, the training seed, the failure kind and the error.
@@ -149,7 +151,7 @@ def test_other_weights_do_not_mix(tmp_path, weights, cluster, monkeypatch):
     assert run(cluster, weights, tmp_path / "out") == 0
     (tmp_path / "weights").mkdir()
     others = save_untrained(tmp_path / "weights", gain=0.2)
-    with pytest.raises(ScenarioError, match="episodes of other weights"):
+    with pytest.raises(InputError, match="episodes of other weights"):
         run(cluster, others, tmp_path / "out")
 
 
@@ -271,7 +273,7 @@ def test_store_knows_what_is_there(tmp_path):
     assert tasks[2].key not in rows
     assert rows[tasks[1].key]["error"] == "ValueError: no"
     (tmp_path / "new" / "parts" / f"{tasks[2].key}.parquet").write_bytes(b"PAR1")
-    with pytest.raises(ScenarioError, match=r"damaged.*delete it"):
+    with pytest.raises(InputError, match=r"damaged.*delete it"):
         store.read([tasks[2].key])
 
 
@@ -290,22 +292,22 @@ def test_keys_tell_all_episodes_apart():
 @pytest.mark.parametrize(
     ("changes", "error", "named"),
     [
-        ({"rnn": ["rnn"]}, ScenarioError, "no rnn 'rnn'.*lstm, gru, mtrnn"),
-        ({"detector": ["svm"]}, ScenarioError, "no detector 'svm'.*recall, knn, subspace"),
-        ({"disturbance": ["none", "C"]}, ScenarioError, "no disturbance 'C'"),
-        ({"episodes": 0}, ScenarioError, "number of episodes 0.*from 1"),
-        ({"seed": -1}, ScenarioError, "seed -1"),
-        ({"gamma": [3.0, float("nan")]}, ScenarioError, "gamma nan is out of range"),
-        ({"log": True, "until": "switching"}, ScenarioError, "--log keeps whole episodes"),
-        ({"gamma": [0.0]}, ScenarioError, "gamma 0.0 is out of range"),
-        ({"workers": 0}, ScenarioError, "number of workers 0"),
-        ({"training_seeds": [-1]}, ScenarioError, "training seed -1"),
-        ({"training_seeds": []}, ScenarioError, "no training seed"),
+        ({"rnn": ["rnn"]}, InputError, "no rnn 'rnn'.*lstm, gru, mtrnn"),
+        ({"detector": ["svm"]}, InputError, "no detector 'svm'.*recall, knn, subspace"),
+        ({"disturbance": ["none", "C"]}, InputError, "no disturbance 'C'"),
+        ({"episodes": 0}, InputError, "number of episodes 0.*from 1"),
+        ({"seed": -1}, InputError, "seed -1"),
+        ({"gamma": [3.0, float("nan")]}, InputError, "gamma nan is out of range"),
+        ({"log": True, "until": "switching"}, InputError, "--log keeps whole episodes"),
+        ({"gamma": [0.0]}, InputError, "gamma 0.0 is out of range"),
+        ({"workers": 0}, InputError, "number of workers 0"),
+        ({"training_seeds": [-1]}, InputError, "training seed -1"),
+        ({"training_seeds": []}, InputError, "no training seed"),
         ({"training_seeds": [3]}, WeightsError, "lstm-3.safetensors.*does not exist"),
         ({"rnn": ["gru"]}, WeightsError, "gru.safetensors.*does not exist"),
         ({"detector": ["knn"]}, WeightsError, "knn.safetensors.*does not exist"),
-        ({"out": Path("/dev/null/out")}, ScenarioError, "cannot be written"),
-        ({"scheduler": "nonsense://1"}, ScenarioError, "no Dask scheduler at nonsense://1"),
+        ({"out": Path("/dev/null/out")}, InputError, "cannot be written"),
+        ({"scheduler": "nonsense://1"}, InputError, "no Dask scheduler at nonsense://1"),
     ],
 )
 def test_bad_input_is_refused_before_anything_runs(tmp_path, weights, changes, error, named):

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from diagrams import teach
-from diagrams.demonstration import DWELL_DEVIATION, FREE_DEVIATION, SUBTASK_STEPS, deviations, subtask_waypoints
-from diagrams.kinematics import HandKinematics
-from diagrams.scenario import ROOT, SPOTS, ScenarioError, World
-from diagrams.station import CAN_HALF_HEIGHT
 from diagrams.teach import TeachArguments, Teacher, lessons
-from models.dataset import read_demonstrations, read_header, subtask_ranges
+from diagrams.world.inverse_kinematics import HandKinematics
+from diagrams.world.scenario import ROOT, SPOTS, World
+from diagrams.world.station import CAN_HALF_HEIGHT
+from diagrams.world.trajectory import DWELL_DEVIATION, FREE_DEVIATION, SUBTASK_STEPS, deviations, subtask_waypoints
+from models.data.demonstrations import read_demonstrations, read_header, subtask_ranges
+from models.errors import InputError
 
 TICKS = sum(SUBTASK_STEPS)
 
@@ -142,7 +143,7 @@ t.teach.main(t.TeachArguments(Path({str(path)!r}), limit=5))
 def test_a_broken_file_is_named(tmp_path):
     path = tmp_path / "broken.h5"
     path.write_bytes(b"no HDF5")
-    with pytest.raises(ScenarioError, match=r"broken\.h5 cannot be opened as HDF5"):
+    with pytest.raises(InputError, match=r"broken\.h5 cannot be opened as HDF5"):
         teach.main(TeachArguments(path, limit=1))
 
 
@@ -156,20 +157,20 @@ def test_a_broken_file_is_named(tmp_path):
     ],
 )
 def test_bad_input_is_named(tmp_path, changes, named):
-    with pytest.raises(ScenarioError, match=named):
+    with pytest.raises(InputError, match=named):
         teach.main(TeachArguments(**({"out": tmp_path / "y.h5"} | changes)))
 
 
 def test_an_error_of_a_process_is_the_program_s(tmp_path, monkeypatch):
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json")
-    with pytest.raises(ScenarioError, match="EGL is not usable here"):
+    with pytest.raises(InputError, match="EGL is not usable here"):
         teach.main(TeachArguments(tmp_path / "y.h5", workers=1, limit=2))
 
 
 def test_another_seed_is_refused(fake, tmp_path):
     path = tmp_path / "seed.h5"
     teach.main(TeachArguments(path, limit=1))
-    with pytest.raises(ScenarioError, match="another seed or another world"):
+    with pytest.raises(InputError, match="another seed or another world"):
         teach.main(TeachArguments(path, limit=1, seed=1))
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diagrams.scenario import World
-from models.cae import ConvolutionalAutoencoder
-from models.recall import RecallHeads
-from models.rnn import make_rnn
-from models.scaling import MinMaxScaling
-from models.weights import StoredPolicy, file_hash, save_autoencoder, save_policy
+from diagrams.world.scenario import World
+from models.data.scaling import MinMaxScaling
+from models.files.weights import StoredPolicy, file_hash, save_autoencoder, save_policy
+from models.networks.cae import ConvolutionalAutoencoder
+from models.networks.recall import RecallHeads
+from models.networks.rnn import make_rnn
 
 GAIN = 0.1  # the LQR's, of weights 1 and 90
 

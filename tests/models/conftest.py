@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import synthetic
 import torch
 
-from models.cae import ConvolutionalAutoencoder, to_image
-from models.recall import RecallHeads
-from models.rnn import make_rnn
-from models.scaling import MinMaxScaling
-from models.weights import StoredPolicy, save_autoencoder
+from models.data.scaling import MinMaxScaling
+from models.files.weights import StoredPolicy, save_autoencoder
+from models.networks.cae import ConvolutionalAutoencoder, to_image
+from models.networks.recall import RecallHeads
+from models.networks.rnn import make_rnn
+from tests.models import synthetic
 
 
 @pytest.fixture(autouse=True, scope="session")

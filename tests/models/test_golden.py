@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models.files.baselines import METHODS, calibration_of, load_detector
 from models.inference import Encoder, Policy
-from models.rnn import RNNS
-from models.windows import METHODS, calibration_of, load_detector
+from models.networks.rnn import RNNS
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "models" / "weights"
 GOLDEN = Path(__file__).with_name("golden.json")

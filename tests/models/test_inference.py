@@ -3,11 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import make_policy
 
-from models.cae import to_image
+from models.files.weights import file_hash, load_autoencoder, load_policy, save_policy
 from models.inference import Encoder, Policy
-from models.weights import file_hash, load_autoencoder, load_policy, save_policy
+from models.networks.cae import to_image
+from tests.models.conftest import make_policy
 
 
 def test_encoder_is_the_torch_module_on_the_stored_weights(encoder_file: Path, pictures: np.ndarray) -> None:

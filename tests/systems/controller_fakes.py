@@ -16,7 +16,7 @@ PERIOD = 0.1
 
 @dataclass(frozen=True)
 class FakeScaling:
-    """Like models.scaling.MinMaxScaling."""
+    """Like models.data.scaling.MinMaxScaling."""
 
     lower: np.ndarray
     upper: np.ndarray

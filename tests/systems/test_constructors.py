@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from controller_fakes import FakeEncoder, FakePolicy, make_controller
 
 from systems.alpha_mixer import AlphaMixer
 from systems.detector import RecallDetector, check_detector
@@ -12,6 +11,7 @@ from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
 from systems.posture_regulator import make_posture_regulator
 from systems.recurrent_policy import RecurrentPolicy
+from tests.systems.controller_fakes import FakeEncoder, FakePolicy, make_controller
 
 ONES = np.ones(4)
 

@@ -4,8 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from controller_fakes import PERIOD, FakeEncoder, FakePolicy, image, make_controller
-from system_checks import assert_clone_replays
 
 from systems import posture_regulator
 from systems.alpha_mixer import AlphaMixer
@@ -18,6 +16,8 @@ from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
 from systems.recurrent_policy import RecurrentPolicy
 from systems.subspace_detector import SubspaceDetector
+from tests.systems.controller_fakes import PERIOD, FakeEncoder, FakePolicy, image, make_controller
+from tests.systems.system_checks import assert_clone_replays
 
 M, F, N = 4, 4, 2
 POLICY_PORTS = ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state")

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from system_checks import evaluate, evaluate_autodiff, evaluate_symbolic
 
 from systems.detector import RecallDetector
+from tests.systems.system_checks import evaluate, evaluate_autodiff, evaluate_symbolic
 
 # Two ticks of two components; l = [(0.1^2 + 0.3^2)/2, 0.2^2/2] = [0.05, 0.02].
 INPUTS = dict(

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
-from system_checks import assert_clone_replays
 
 from systems.disturbance import Disturbance
+from tests.systems.system_checks import assert_clone_replays
 
 PERIOD = 0.1
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from system_checks import evaluate, evaluate_autodiff, evaluate_symbolic
 
 from systems.alpha_mixer import AlphaMixer
 from systems.dwell_time import DwellTime
 from systems.loop_closer import LoopCloser
 from systems.posture_regulator import lqr, make_posture_regulator
+from tests.systems.system_checks import evaluate, evaluate_autodiff, evaluate_symbolic
 
 CLOSER = LoopCloser(posture_size=2, feature_size=1)
 CLOSER_INPUTS = dict(

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from controller_fakes import PERIOD, FakeEncoder, FakePolicy, image
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.sensors import ImageRgba8U
-from system_checks import evaluate
 
 from systems.image_encoder import ImageEncoder
 from systems.posture_history import PostureHistory
 from systems.recurrent_policy import RecurrentPolicy
+from tests.systems.controller_fakes import PERIOD, FakeEncoder, FakePolicy, image
+from tests.systems.system_checks import evaluate
 
 
 class RecordingEncoder(FakeEncoder):

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from controller_fakes import PERIOD, ClosedLoop, FakeEncoder, FakePolicy, TickArm, make_controller
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import PassThrough
-from system_checks import snapshot
 
 from systems import alpha_mixer
 from systems.detector import declare_detector_inputs
+from tests.systems.controller_fakes import PERIOD, ClosedLoop, FakeEncoder, FakePolicy, TickArm, make_controller
+from tests.systems.system_checks import snapshot
 
 
 def closed_loop(policy=None, offset=0.0, arm=None, logged=None, **arguments):

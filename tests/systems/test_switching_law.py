@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from controller_fakes import FakePolicy, make_controller
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Diagram_, LeafSystem
-from system_checks import evaluate, evaluate_autodiff, evaluate_symbolic
 
 from systems.detector import declare_detector_inputs
+from tests.systems.controller_fakes import FakePolicy, make_controller
+from tests.systems.system_checks import evaluate, evaluate_autodiff, evaluate_symbolic
 
 OUTPUTS = ("network_input", "errors", "alpha", "desired_posture", "rnn_step", "regulator_step", "step")
 

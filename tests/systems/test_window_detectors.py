@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from sklearn.decomposition import TruncatedSVD
 from sklearn.neighbors import NearestNeighbors
-from system_checks import evaluate
 
 from systems.detector import check_detector
 from systems.knn_detector import KnnDetector
 from systems.subspace_detector import SubspaceDetector
+from tests.systems.system_checks import evaluate
 
 SIZES = dict(posture_size=3, horizon=3, state_size=2)
 # Scaled 0 is (1, 10, 0) rad, a scaled unit (1, 2, 1) rad.

@@ -1,0 +1,1 @@
+"""Everything that is drawn: numbers in, one file out."""

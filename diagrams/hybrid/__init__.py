@@ -1,0 +1,1 @@
+"""The switched loop as one hybrid system: an analysis a file."""

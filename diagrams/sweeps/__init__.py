@@ -1,0 +1,1 @@
+"""Many episodes: tasks, rows on disk, statistics."""

@@ -1,0 +1,77 @@
+"""CollisionChecker: does a straight joint motion of the arm, with or without the can in its hand, touch the scene?"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
+
+from diagrams.world.scenario import SPOTS
+from diagrams.world.station import CAN_HALF_HEIGHT, CANS, add_models
+
+MOVING = ("arm", "gripper")
+LEAST_SAMPLES = 24  # of a way
+SPACING = np.deg2rad(1.0)  # of the joint that moves most, between two samples
+
+
+class CollisionChecker:
+    """Distances between the arm (and what it holds) and everything else, by Drake's signed-distance queries."""
+
+    def __init__(self, gap: float = 0.01):
+        """`gap`: what comes nearer than this (m) counts as touching."""
+        builder = DiagramBuilder()
+        self._plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+        add_models(self._plant)
+        self._plant.Finalize()
+        diagram = builder.Build()
+        self._context = diagram.CreateDefaultContext()
+        self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
+        self._query = lambda: scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(self._context))
+        self._inspector = scene_graph.model_inspector()
+        self._gap = gap
+        self._arm = self._plant.GetModelInstanceByName("arm")
+
+    def _owner(self, geometry) -> str:
+        body = self._plant.GetBodyFromFrameId(self._inspector.GetFrameId(geometry))
+        return self._plant.GetModelInstanceName(body.model_instance())
+
+    def _can(self, name: str):
+        return self._plant.GetBodyByName("can", self._plant.GetModelInstanceByName(name))
+
+    def set_scene(self, can_xy: np.ndarray | tuple[float, float] | None, vacant: str) -> None:
+        """Where the cans stand; `can_xy` (2, m, world) or None: the can is in the hand."""
+        occupied = next(s for s in SPOTS if s != vacant)
+        spot = self._plant.GetFrameByName(f"{occupied}_spot").CalcPoseInWorld(self._plant_context).translation()
+        self._held = can_xy is None
+        pose = RigidTransform(spot + [0, 0, CAN_HALF_HEIGHT])
+        self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, self._can(CANS[1]), pose)
+        if can_xy is not None:
+            pose = RigidTransform([*can_xy, CAN_HALF_HEIGHT])
+            self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, self._can(CANS[0]), pose)
+
+    def touched(self, joints: np.ndarray) -> str | None:
+        """Name of a model that the arm at `joints` (7, rad) touches, with or without the can that it holds; None if clear."""
+        self._plant.SetPositions(self._plant_context, self._arm, joints)
+        moving: tuple[str, ...] = MOVING
+        if self._held:
+            X_WG = self._plant.GetFrameByName("grasp").CalcPoseInWorld(self._plant_context)
+            # The hand holds the can a little above its middle, upright when the hand leans as in the demonstrations.
+            upright = X_WG.multiply(RigidTransform(-X_WG.rotation().inverse().multiply(np.array([0, 0, 0.010]))))
+            self._plant.SetFloatingBaseBodyPoseInWorldFrame(
+                self._plant_context, self._can(CANS[0]), RigidTransform(X_WG.rotation(), upright.translation())
+            )
+            moving = (*MOVING, CANS[0])
+        for pair in self._query().ComputeSignedDistancePairwiseClosestPoints(self._gap):
+            a, b = self._owner(pair.id_A), self._owner(pair.id_B)
+            if (a in moving) != (b in moving):
+                return b if a in moving else a
+        return None
+
+    def straight_way_touches(self, start: np.ndarray, goal: np.ndarray) -> str | None:
+        """The first model touched on the straight joint motion from `start` to `goal` (7 each, rad), looked at every degree; None if clear."""
+        samples = max(LEAST_SAMPLES, 1 + int(np.ceil(np.abs(goal - start).max() / SPACING)))
+        for share in np.linspace(0.0, 1.0, samples):
+            if (name := self.touched((1 - share) * start + share * goal)) is not None:
+                return name
+        return None

@@ -1,0 +1,58 @@
+"""Inverse kinematics of the hand, by Drake's InverseKinematics on the arm alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.math import RotationMatrix
+from pydrake.multibody.inverse_kinematics import InverseKinematics
+from pydrake.solvers import Solve
+
+from diagrams.world.station import ARM_JOINTS, arm_plant
+from models.errors import InputError
+
+# The hand points down, leaning outwards by 5 deg: nearly vertical leaves 9 deg to every joint limit over the whole grid.
+TILT_DEG = 85.0
+
+
+class HandKinematics:
+    """Joint angles that put the grasp frame somewhere, nearest to a preferred posture."""
+
+    def __init__(self, preferred_joints: np.ndarray):
+        """`preferred_joints`: (7,) rad."""
+        self._plant = arm_plant()
+        self._preferred = np.append(preferred_joints, [0.0, 0.0])
+        self.lower = self._plant.GetPositionLowerLimits()[:ARM_JOINTS]
+        self.upper = self._plant.GetPositionUpperLimits()[:ARM_JOINTS]
+
+    def solve(self, position: np.ndarray) -> np.ndarray:
+        """(7,) joint angles, rad, with the grasp frame at `position` (3, m, world), fingers level and opening across the arm's direction.
+
+        Raises InputError where no posture within the joint limits reaches.
+        """
+        yaw, tilt = np.arctan2(position[1], position[0]), np.deg2rad(TILT_DEG)
+        z = np.array([np.cos(tilt) * np.cos(yaw), np.cos(tilt) * np.sin(yaw), -np.sin(tilt)])
+        x = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+        R_WG = RotationMatrix(np.column_stack([x, np.cross(z, x), z]))
+        ik = InverseKinematics(self._plant)
+        grasp = self._plant.GetFrameByName("grasp")
+        ik.AddPositionConstraint(grasp, np.zeros(3), self._plant.world_frame(), position, position)
+        ik.AddOrientationConstraint(self._plant.world_frame(), R_WG, grasp, RotationMatrix(), 1e-3)
+        program = ik.prog()
+        program.AddQuadraticErrorCost(np.eye(ARM_JOINTS + 2), self._preferred, ik.q())
+        program.AddBoundingBoxConstraint(0.0, 0.0, ik.q()[ARM_JOINTS:])
+        result = Solve(program, self._preferred)
+        if not result.is_success():
+            raise InputError(
+                f"the hand cannot reach {np.round(position, 3).tolist()} m: choose a place on the desk nearer to the trained area"
+            )
+        return result.GetSolution(ik.q())[:ARM_JOINTS]
+
+    def margin(self, joints: np.ndarray) -> float:
+        """Smallest distance of `joints` (7, rad) to a joint limit, rad; negative outside."""
+        return float(np.min(np.minimum(joints - self.lower, self.upper - joints)))
+
+    def grasp_position(self, joints: np.ndarray) -> np.ndarray:
+        """(3,) position of the grasp frame, m, world."""
+        context = self._plant.CreateDefaultContext()
+        self._plant.SetPositions(context, np.append(joints, [0.0, 0.0]))
+        return self._plant.GetFrameByName("grasp").CalcPoseInWorld(context).translation()

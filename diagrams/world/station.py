@@ -1,0 +1,300 @@
+"""PickPlaceStation: the arm, the desk, the shelf, the cans and the camera as one Diagram."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+
+import numpy as np
+from pydrake.geometry import (
+    ClippingRange,
+    ColorRenderCamera,
+    DepthRange,
+    DepthRenderCamera,
+    LightParameter,
+    MakeRenderEngineVtk,
+    RenderCameraCore,
+    RenderEngineVtkParams,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, MultibodyPlantConfig
+from pydrake.multibody.tree import PdControllerGains
+from pydrake.systems.controllers import InverseDynamics
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.primitives import MatrixGain, Multiplexer
+from pydrake.systems.rendering import MultibodyPositionToGeometryPose
+from pydrake.systems.sensors import CameraInfo, RgbdSensor
+
+from diagrams.world.approach_meter import ApproachMeter
+from diagrams.world.scenario import ROOT, SPOTS, World
+from models.errors import InputError
+
+ARM_JOINTS = 7
+CANS = ("can_to_pick", "can_on_shelf")
+CAN_HALF_HEIGHT = 0.05
+RENDERER = "vtk"
+FILM = (960, 720, 42.0)  # width, height (pixels) and vertical field of view (deg) of the camera for people
+
+
+def add_models(plant: MultibodyPlant, names: tuple[str, ...] | None = None) -> None:
+    """Adds the models of sdf/pick_place.dmd.yaml to `plant`; with `names`, only the directives that speak of those models."""
+    parser = Parser(plant)
+    parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
+    directives = LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml"))
+    if names is not None:
+        directives.directives = [d for d in directives.directives if _speaks_only_of(d, names)]
+    ProcessModelDirectives(directives, parser)
+
+
+def _speaks_only_of(directive, names: tuple[str, ...]) -> bool:
+    if directive.add_model:
+        return directive.add_model.name in names
+    if directive.add_weld:
+        return directive.add_weld.child.split("::")[0] in names
+    return False
+
+
+def arm_plant() -> MultibodyPlant:
+    """The arm with its gripper alone, finalized, continuous: for kinematics and gravity. Positions: 7 joints, left and right finger."""
+    plant = MultibodyPlant(0.0)
+    add_models(plant, ("arm", "gripper"))
+    plant.Finalize()
+    return plant
+
+
+def _require_egl_device() -> None:
+    """Raises RuntimeError where EGL has no device to render on: Drake would notice at the first picture only, and die of it."""
+    try:
+        egl = ctypes.CDLL("libEGL.so.1")
+    except OSError:  # Drake looks under another name too, and raises where there is none
+        return
+    egl.eglGetProcAddress.restype = egl.eglGetDisplay.restype = ctypes.c_void_p
+    count = ctypes.c_int(0)
+    if address := egl.eglGetProcAddress(b"eglQueryDevicesEXT"):
+        query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(ctypes.c_int))(address)
+        query(0, None, ctypes.byref(count))
+    if not count.value and not egl.eglGetDisplay(None):
+        raise RuntimeError("no EGL device")
+
+
+class PickPlaceStation(Diagram):
+    """The robot and its world.
+
+    .. pydrake_system::
+
+        name: PickPlaceStation
+        input_ports:
+        - desired_posture
+        output_ports:
+        - posture
+        - rgb_image
+        - can_poses
+        - approach_distance
+        - plant_state
+        - contact_results
+        - query_object
+        - film_image
+
+    - `desired_posture` (8): joint angles, rad, and gap of the fingers, m, that the servo tracks.
+    - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m (the measured one stalls on the can).
+    - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
+    - `can_poses` (14): quaternion wxyz and position (m, world) of the can to pick, then of the one on the shelf.
+    - `approach_distance` (1): see ApproachMeter. Truth: for scoring and disturbances, never for the controller.
+    - `plant_state` (n): positions, then velocities, of the whole plant in Drake's order; rad, m, rad/s, m/s; free bodies in the world frame.
+    - `contact_results`: Drake's ContactResults of the plant: points in m and forces in N, both in the world frame.
+    - `query_object`: Drake's QueryObject of the plant's scene graph, for pictures and for distances (m).
+    - `film_image`: RGBA image of a camera for people, `FILM` pixels; with film_camera=True only.
+    """
+
+    def __init__(self, world: World, camera: bool = True, film_camera: bool = False):
+        """`camera`: render for the network; `film_camera`: also a larger view for people, on a port `film_image`."""
+        super().__init__()
+        self.world = world
+        builder = DiagramBuilder()
+        config = MultibodyPlantConfig(
+            time_step=world.timing.time_step,
+            discrete_contact_approximation="sap",
+            contact_model="point",
+            # The controller's updates at tick k read the state at the tick itself, not one plant step later.
+            use_sampled_output_ports=False,
+        )
+        self.plant, self.scene_graph = AddMultibodyPlant(config, builder)
+        add_models(self.plant)
+        self._set_servo()
+        self._set_defaults()
+        self.plant.Finalize()
+        self.arm = self.plant.GetModelInstanceByName("arm")
+        self.gripper = self.plant.GetModelInstanceByName("gripper")
+        self._wire_servo(builder)
+        self._wire_gravity_compensation(builder)
+        if camera:
+            self._add_camera(builder, film_camera)
+        self.approach_meter = builder.AddNamedSystem("approach_meter", ApproachMeter(self.plant))
+        builder.Connect(self.plant.get_body_poses_output_port(), self.approach_meter.GetInputPort("body_poses"))
+        builder.ExportOutput(self.approach_meter.GetOutputPort("can_poses"), "can_poses")
+        builder.ExportOutput(self.approach_meter.GetOutputPort("approach_distance"), "approach_distance")
+        builder.ExportOutput(self.plant.get_state_output_port(), "plant_state")
+        builder.ExportOutput(self.plant.get_contact_results_output_port(), "contact_results")
+        builder.ExportOutput(self.scene_graph.get_query_output_port(), "query_object")
+        builder.BuildInto(self)
+        self.set_name("station")
+
+    def _set_servo(self) -> None:
+        servo = self.world.servo
+        # By name: before Finalize, the look-up by model instance returns nothing, and gains would silently not be set.
+        for j in range(ARM_JOINTS):
+            actuator = self.plant.GetJointActuatorByName(f"joint_{j + 1}")
+            actuator.set_controller_gains(PdControllerGains(p=servo.stiffness[j], d=servo.damping[j]))
+        finger = self.plant.GetJointActuatorByName("left_finger_joint")
+        finger.set_controller_gains(PdControllerGains(p=servo.finger_stiffness, d=servo.finger_damping))
+        left, right = (self.plant.GetJointByName(f"{side}_finger_joint") for side in SPOTS)
+        # Two effort-limited fingers would drift sideways with the can: the right one mirrors the left one.
+        self.plant.AddCouplerConstraint(joint0=right, joint1=left, gear_ratio=1.0, offset=0.0)
+
+    def _set_defaults(self) -> None:
+        posture = self.world.initial_posture
+        for j in range(ARM_JOINTS):
+            self.plant.GetJointByName(f"joint_{j + 1}").set_default_angle(posture[j])
+        for side in SPOTS:
+            self.plant.GetJointByName(f"{side}_finger_joint").set_default_translation(posture[-1] / 2)
+        centre = np.mean(self.world.grid.bounds, axis=0)
+        for can, xyz in zip(CANS, ([*centre, CAN_HALF_HEIGHT], [0.25, 0.43, 0.10]), strict=True):
+            body = self.plant.GetBodyByName("can", self.plant.GetModelInstanceByName(can))
+            self.plant.SetDefaultFloatingBaseBodyPose(body, RigidTransform(xyz))
+
+    def _wire_servo(self, builder: DiagramBuilder) -> None:
+        n = ARM_JOINTS
+        eye = np.eye(n + 1)
+        opening = builder.AddNamedSystem("opening", MatrixGain(eye[n:]))
+        arm_target = builder.AddNamedSystem("arm_target", MatrixGain(np.vstack([eye[:n], np.zeros((n, n + 1))])))
+        finger_target = builder.AddNamedSystem(
+            "finger_target", MatrixGain(np.vstack([0.5 * eye[n:], np.zeros((1, n + 1))]))
+        )
+        joints = builder.AddNamedSystem("joints", MatrixGain(np.eye(n, 2 * n)))
+        posture = builder.AddNamedSystem("posture", Multiplexer([n, 1]))
+        builder.ExportInput(arm_target.get_input_port(), "desired_posture")
+        for system in (opening, finger_target):
+            builder.ConnectInput("desired_posture", system.get_input_port())
+        builder.Connect(arm_target.get_output_port(), self.plant.get_desired_state_input_port(self.arm))
+        builder.Connect(finger_target.get_output_port(), self.plant.get_desired_state_input_port(self.gripper))
+        builder.Connect(self.plant.get_state_output_port(self.arm), joints.get_input_port())
+        builder.Connect(joints.get_output_port(), posture.get_input_port(0))
+        builder.Connect(opening.get_output_port(), posture.get_input_port(1))
+        builder.ExportOutput(posture.get_output_port(0), "posture")
+
+    def _wire_gravity_compensation(self, builder: DiagramBuilder) -> None:
+        self.arm_plant = arm_plant()
+        n, fingers = ARM_JOINTS, 2
+        compensation = builder.AddNamedSystem(
+            "gravity_compensation",
+            InverseDynamics(self.arm_plant, InverseDynamics.InverseDynamicsMode.kGravityCompensation),
+        )
+        states = builder.AddNamedSystem("arm_and_finger_states", Multiplexer([2 * n, 2 * fingers]))
+        # (q_arm, v_arm, q_fingers, v_fingers) -> (q_arm, q_fingers, v_arm, v_fingers)
+        order = [
+            *range(n),
+            *range(2 * n, 2 * n + fingers),
+            *range(n, 2 * n),
+            *range(2 * n + fingers, 2 * (n + fingers)),
+        ]
+        reorder = builder.AddNamedSystem("state_order", MatrixGain(np.eye(len(order))[order]))
+        torque = builder.AddNamedSystem("arm_torque", MatrixGain(np.eye(n, n + fingers)))
+        builder.Connect(self.plant.get_state_output_port(self.arm), states.get_input_port(0))
+        builder.Connect(self.plant.get_state_output_port(self.gripper), states.get_input_port(1))
+        builder.Connect(states.get_output_port(0), reorder.get_input_port())
+        builder.Connect(reorder.get_output_port(), compensation.get_input_port_estimated_state())
+        builder.Connect(compensation.get_output_port_generalized_force(), torque.get_input_port())
+        builder.Connect(torque.get_output_port(), self.plant.get_actuation_input_port(self.arm))
+
+    def _add_camera(self, builder: DiagramBuilder, film_camera: bool) -> None:
+        # The renderer looks at a second scene graph that follows the plant's positions: it moves its shapes when an image is pulled,
+        # ten times a second; in the plant's own scene graph it would do so at every step of the plant, which takes longer than the physics.
+        self.scene_plant = MultibodyPlant(0.0)
+        scene = builder.AddNamedSystem("camera_scene", SceneGraph())
+        self.scene_plant.RegisterAsSourceForSceneGraph(scene)
+        add_models(self.scene_plant)
+        self.scene_plant.Finalize()
+        poses = builder.AddNamedSystem("camera_scene_poses", MultibodyPositionToGeometryPose(self.scene_plant, True))
+        builder.Connect(self.plant.get_state_output_port(), poses.get_input_port())
+        builder.Connect(poses.get_output_port(), scene.get_source_pose_port(self.scene_plant.get_source_id()))
+        if not film_camera:
+            # In software, the calling thread draws a picture this small faster than it wakes others for it.
+            os.environ.setdefault("LP_NUM_THREADS", "0")
+        params = RenderEngineVtkParams()
+        params.default_clear_color = [0.78, 0.82, 0.86]
+        params.backend = "EGL"
+        params.lights = [
+            LightParameter(type="directional", direction=[-0.80, -0.25, -0.60], intensity=0.75, frame="world"),
+            LightParameter(type="directional", direction=[-0.10, 0.60, -0.80], intensity=0.55, frame="world"),
+        ]
+        try:
+            _require_egl_device()
+            scene.AddRenderer(RENDERER, MakeRenderEngineVtk(params))
+        except RuntimeError as error:
+            raise InputError(
+                f"the camera cannot render without a display: EGL is not usable here ({error}); "
+                "install it (Debian and Ubuntu: apt-get install libegl1 libgl1)"
+            ) from error
+        camera = self.world.camera
+        self._add_sensor(builder, scene, "camera", "rgb_image", camera.width, camera.height, camera.field_of_view_deg)
+        if film_camera:
+            self._add_sensor(builder, scene, "film_camera", "film_image", *FILM)
+
+    def _add_sensor(
+        self,
+        builder: DiagramBuilder,
+        scene: SceneGraph,
+        frame_name: str,
+        port: str,
+        width: int,
+        height: int,
+        fov_deg: float,
+    ) -> None:
+        info = CameraInfo(width=width, height=height, fov_y=np.deg2rad(fov_deg))
+        core = RenderCameraCore(RENDERER, info, ClippingRange(0.1, 5.0), RigidTransform())
+        frame = self.scene_plant.GetFrameByName(frame_name)
+        sensor = builder.AddNamedSystem(
+            frame_name,
+            RgbdSensor(
+                self.scene_plant.GetBodyFrameIdOrThrow(frame.body().index()),
+                frame.GetFixedPoseInBodyFrame(),
+                ColorRenderCamera(core),
+                DepthRenderCamera(core, DepthRange(0.2, 4.0)),
+            ),
+        )
+        builder.Connect(scene.get_query_output_port(), sensor.query_object_input_port())
+        builder.ExportOutput(sensor.color_image_output_port(), port)
+
+    def set_scene(self, context: Context, can_xy: np.ndarray, vacant: str, turn: float = 0.0) -> None:
+        """Puts the cans in place: one at `can_xy` (2, m, world) on the desk, turned about its axis by `turn` (rad), the other on the spot
+        that is not `vacant`."""
+        if vacant not in SPOTS:
+            raise InputError(f"there is no spot '{vacant}' on the shelf: choose one of {', '.join(SPOTS)}")
+        plant_context = self.plant.GetMyMutableContextFromRoot(context)
+        self.place_can(context, can_xy, turn)
+        occupied = next(spot for spot in SPOTS if spot != vacant)
+        self.plant.SetFloatingBaseBodyPoseInWorldFrame(
+            plant_context, self._can(CANS[1]), RigidTransform(self.spot(occupied))
+        )
+        self.approach_meter.set_place(self.approach_meter.GetMyMutableContextFromRoot(context), self.spot(vacant))
+
+    def place_can(self, context: Context, can_xy: np.ndarray, turn: float = 0.0) -> None:
+        """Stands the can to pick, at rest, on the desk at `can_xy` (2, m, world)."""
+        plant_context = self.plant.GetMyMutableContextFromRoot(context)
+        body = self._can(CANS[0])
+        self.plant.SetFloatingBaseBodyPoseInWorldFrame(
+            plant_context, body, RigidTransform(RollPitchYaw(0, 0, turn), [*can_xy, CAN_HALF_HEIGHT])
+        )
+        self.plant.SetFreeBodySpatialVelocity(context=plant_context, body=body, V_JpJc=SpatialVelocity(np.zeros(6)))
+
+    def spot(self, name: str) -> np.ndarray:
+        """(3,) centre of a can that stands on spot `name` of the shelf, m, world."""
+        frame = self.plant.GetFrameByName(f"{name}_spot")
+        X_WS = frame.CalcPoseInWorld(self.plant.CreateDefaultContext())
+        return X_WS.translation() + [0, 0, CAN_HALF_HEIGHT]
+
+    def _can(self, name: str):
+        return self.plant.GetBodyByName("can", self.plant.GetModelInstanceByName(name))

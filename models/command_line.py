@@ -1,0 +1,64 @@
+"""How every program begins and ends: arguments in, exit code out; bad input is one clear line and exit code 2."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from models.errors import InputError
+
+# Which extra of pyproject.toml brings a module.
+EXTRAS = {
+    "train": ("h5py", "lightning"),
+    "sweep": ("dask", "distributed", "pandas", "pyarrow", "scipy", "sklearn"),
+    "analysis": ("cmaes", "optuna"),
+}
+ROOT = Path(__file__).resolve().parents[1]  # of the checkout
+
+
+def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
+    """Ends the process with the exit code of `main(arguments())`; 2, after one line on stderr, for bad input.
+
+    Args:
+        main: takes what `arguments` returns; raises InputError for bad input.
+        arguments: reads the command line.
+    """
+    try:
+        require_checkout()
+        code = main(arguments())
+        sys.stdout.flush()
+    except SystemExit as end:  # --help, and the parser's own errors
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except InputError as error:
+        code = _bad_input(str(error))
+    except ModuleNotFoundError as absent:
+        extra = next((e for e, names in EXTRAS.items() if (absent.name or "").split(".")[0] in names), None)
+        if extra is None:
+            raise
+        code = _bad_input(f"this needs {absent.name}: pip install -e '.[{extra}]'")
+    except BrokenPipeError:
+        code = 0
+    except KeyboardInterrupt:
+        print("interrupted: the same command goes on", file=sys.stderr)
+        code = 130
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever read the output has had enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
+
+
+def require_checkout() -> None:
+    """Raises InputError where the packages were installed without -e: `sdf/` and the weights stayed behind."""
+    if not (ROOT / "sdf").is_dir():
+        raise InputError(
+            f"{ROOT} holds neither sdf/ nor the weights: install with `pip install -e .`, in an environment of its own"
+        )
+
+
+def _bad_input(words: str) -> int:
+    print(f"error: {' '.join(words.split())}", file=sys.stderr)
+    return 2

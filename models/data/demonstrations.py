@@ -1,0 +1,132 @@
+"""Reads the teacher's data set (HDF5, robomimic layout) and cuts it into subtask sequences."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from models.errors import InputError
+
+START_TICKS, END_TICKS = 3, 14
+TOLERANCE = 0.02  # rad and m: a posture nearer than that to the dwell's is taken for dwelling
+
+
+class DatasetError(InputError):
+    """The data set is missing, damaged, or not in the expected layout."""
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """One demonstration without its pictures.
+
+    Attributes:
+        name: group name in the file.
+        split: "train" or "valid".
+        can_xy: (2,) m, world frame.
+        vacant: "left" or "right".
+        subtask_starts: first tick of each subtask.
+        posture: (T, 8) measured joints (rad) and commanded opening (m).
+        actions: (T, 8) commanded next posture.
+    """
+
+    name: str
+    split: str
+    can_xy: np.ndarray
+    vacant: str
+    subtask_starts: tuple[int, ...]
+    posture: np.ndarray
+    actions: np.ndarray
+
+
+@dataclass(frozen=True)
+class DatasetHeader:
+    """Attributes of the whole file: initial_posture (8,), period in s, and a hash of the content."""
+
+    initial_posture: np.ndarray
+    period: float
+    content_hash: str
+    total: int
+
+
+def _open(path: str | Path) -> h5py.File:
+    if not Path(path).is_file():
+        raise DatasetError(f"{path}: the data set does not exist. Record it: `python diagrams/teach.py --out {path}`")
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        raise DatasetError(f"{path}: not a readable HDF5 file ({error}). Record it again") from error
+
+
+def read_header(path: str | Path) -> DatasetHeader:
+    """Reads the file's attributes."""
+    with _open(path) as file:
+        try:
+            attributes: Any = file["data"].attrs
+            return DatasetHeader(
+                np.array(attributes["initial_posture"], float),
+                float(attributes["period"]),
+                str(attributes["content_hash"]),
+                int(attributes["total"]),
+            )
+        except KeyError as error:
+            raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
+
+
+def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demonstration]:
+    """All demonstrations, or those of one split ("train", "valid"), in the order of their numbers."""
+    with _open(path) as file:
+        try:
+            splits = {name.decode(): part for part in ("train", "valid") for name in file[f"mask/{part}"][()]}
+            found = []
+            for name in sorted(splits, key=lambda text: int(text.rsplit("_", 1)[1])):
+                if split in (None, splits[name]):
+                    demo = file["data"][name]
+                    found.append(
+                        Demonstration(
+                            name=name,
+                            split=splits[name],
+                            can_xy=np.array(demo.attrs["can_xy"], float),
+                            vacant=str(demo.attrs["vacant"]),
+                            subtask_starts=tuple(int(k) for k in demo.attrs["subtask_starts"]),
+                            posture=np.array(demo["obs/posture"], float),
+                            actions=np.array(demo["actions"], float),
+                        )
+                    )
+        except KeyError as error:
+            raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
+    if not found:
+        raise DatasetError(f"{path}: holds no demonstration of split {split}")
+    return found
+
+
+def iterate_frames(path: str | Path, names: Sequence[str], stop: int | None = None) -> Iterator[np.ndarray]:
+    """The pictures of each named demonstration in turn, uint8 (T, 112, 112, 3), or of its first `stop` ticks."""
+    with _open(path) as file:
+        for name in names:
+            yield file["data"][name]["obs/rgb"][:stop]
+
+
+def subtask_ranges(
+    demo: Demonstration, tolerance: float = TOLERANCE, start_ticks: int = START_TICKS, end_ticks: int = END_TICKS
+) -> list[tuple[int, int]]:
+    """Tick ranges [start, stop) of the subtasks, their dwells cut to start_ticks and end_ticks.
+
+    A tick dwells while every component is within tolerance of the subtask's first (last) posture. A long dwell at the
+    start would teach the network to wait until it sees itself move.
+    """
+    edges = [*demo.subtask_starts, len(demo.posture)]
+    ranges = []
+    for first, last in itertools.pairwise(edges):
+        posture = demo.posture[first:last]
+        away = np.flatnonzero(np.abs(posture - posture[0]).max(axis=1) > tolerance)
+        back = np.flatnonzero(np.abs(posture - posture[-1]).max(axis=1) > tolerance)
+        if not len(away):
+            raise DatasetError(f"{demo.name}: nothing moves between ticks {first} and {last}")
+        ranges.append((first + max(0, int(away[0]) - start_ticks), min(last, first + int(back[-1]) + 1 + end_ticks)))
+    return ranges

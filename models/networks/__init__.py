@@ -1,0 +1,1 @@
+"""The networks of Table I and the recall heads, as torch modules."""

@@ -1,0 +1,169 @@
+"""The three recurrent networks of Table I behind one interface: the state goes in and comes out."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from models.networks.gru_loop import GruLoop
+from models.networks.lstm_loop import LstmLoop
+from models.networks.mtrnn_loop import MtrnnLoop
+
+
+class RecurrentNetwork(nn.Module, ABC):
+    """Predicts the next scaled posture and features from the present ones (Sec. II-B, II-C of the paper).
+
+    Attributes:
+        name: "lstm", "gru" or "mtrnn".
+        posture_size, feature_size: parts of x and y, posture first.
+        state_size: length S of the state; the common initial state c_0 is zero.
+    """
+
+    name: str
+
+    def __init__(self, posture_size: int, feature_size: int, state_size: int, output_from: int) -> None:
+        super().__init__()
+        self.posture_size, self.feature_size, self.state_size = posture_size, feature_size, state_size
+        self.input_size = self.output_size = posture_size + feature_size
+        self.output = nn.Linear(output_from, self.output_size)
+
+    def initial_state(self, batch: int) -> Tensor:
+        """c_0 (B, S), zeros."""
+        return self.output.weight.new_zeros(batch, self.state_size)
+
+    @abstractmethod
+    def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """One tick: x (B, 38) scaled [m_k, f_k] and c_{k-1} (B, S) to y (B, 38), the prediction of k+1, and c_k."""
+
+    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Runs over T ticks, the loop closed (Eqs. 7, 8 with alpha = 1) where told.
+
+        Args:
+            x: (T, B, 38) inputs.
+            closed: (T, B, 1) bool: the sequence's own clipped prediction takes the input's place; not at the first tick.
+            state: (B, S).
+
+        Returns:
+            y (T, B, 38) and all states (T, B, S).
+        """
+        outputs, states = [], []
+        loops = closed.flatten(1).any(1).tolist()
+        y = x[0]
+        for k, (own, data) in enumerate(zip(closed.unbind(0), x.unbind(0), strict=True)):
+            y, state = self.step(torch.where(own, y.clamp(-1.0, 1.0), data) if k and loops[k] else data, state)
+            outputs.append(y)
+            states.append(state)
+        return torch.stack(outputs), torch.stack(states)
+
+
+def _uniform(module: nn.Module, bound: float) -> None:
+    for parameter in module.parameters():
+        nn.init.uniform_(parameter, -bound, bound)
+
+
+class LSTM(RecurrentNetwork):
+    """LSTM, state [h, c]."""
+
+    name = "lstm"
+
+    def __init__(self, posture_size: int = 8, feature_size: int = 30, units: int = 250) -> None:
+        super().__init__(posture_size, feature_size, 2 * units, units)
+        self.units = units
+        self.gates = nn.Linear(self.input_size + units, 4 * units)  # rows: output, input, forget, cell
+        _uniform(self.gates, 1.0 / math.sqrt(units))
+        with torch.no_grad():
+            self.gates.bias[2 * units : 3 * units] += 1.0  # remembers over a subtask from the first update on
+
+    def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """See RecurrentNetwork.step."""
+        h, c = state.split(self.units, 1)
+        gates, cell = self.gates(torch.cat((x, h), 1)).split((3 * self.units, self.units), 1)
+        o, i, f = torch.sigmoid(gates).split(self.units, 1)
+        c = f * c + i * torch.tanh(cell)
+        h = o * torch.tanh(c)
+        return self.output(h), torch.cat((h, c), 1)
+
+    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """See RecurrentNetwork.forward; the state gets no gradient."""
+        h, c = state.split(self.units, 1)
+        return LstmLoop.apply(x, closed, h, c, self.gates.weight, self.gates.bias, self.output.weight, self.output.bias)
+
+
+class GRU(RecurrentNetwork):
+    """GRU, state h."""
+
+    name = "gru"
+
+    def __init__(self, posture_size: int = 8, feature_size: int = 30, units: int = 250) -> None:
+        super().__init__(posture_size, feature_size, units, units)
+        self.units = units
+        self.from_input = nn.Linear(self.input_size, 3 * units)  # rows: reset, update, new as torch.nn.GRU
+        self.from_hidden = nn.Linear(units, 3 * units)
+        _uniform(self.from_input, 1.0 / math.sqrt(units))
+        _uniform(self.from_hidden, 1.0 / math.sqrt(units))
+
+    def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """See RecurrentNetwork.step."""
+        r_x, z_x, n_x = self.from_input(x).split(self.units, 1)
+        r_h, z_h, n_h = self.from_hidden(state).split(self.units, 1)
+        z = torch.sigmoid(z_x + z_h)
+        n = torch.tanh(n_x + torch.sigmoid(r_x + r_h) * n_h)
+        h = n + z * (state - n)
+        return self.output(h), h
+
+    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """See RecurrentNetwork.forward; the state gets no gradient."""
+        parts = (self.from_input, self.from_hidden, self.output)
+        return GruLoop.apply(x, closed, state, *(p for part in parts for p in (part.weight, part.bias)))
+
+
+class MTRNN(RecurrentNetwork):
+    """Multiple timescale RNN: u <- (1 - 1/tau) u + (1/tau)(weighted inputs), h = tanh(u); state [u_fast, u_slow].
+
+    The fast layer sees the input, itself and the slow layer, the slow layer the fast one and itself, both by the
+    previous h; the fast layer gives the output.
+    """
+
+    name = "mtrnn"
+
+    def __init__(
+        self,
+        posture_size: int = 8,
+        feature_size: int = 30,
+        fast: int = 80,
+        slow: int = 20,
+        tau_fast: float = 2.0,
+        tau_slow: float = 30.0,
+    ) -> None:
+        super().__init__(posture_size, feature_size, fast + slow, fast)
+        self.sizes, self.tau = (fast, slow), (tau_fast, tau_slow)
+        self.to_fast = nn.Linear(self.input_size + fast + slow, fast)
+        self.to_slow = nn.Linear(fast + slow, slow)
+
+    def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """See RecurrentNetwork.step."""
+        h = torch.tanh(state)
+        u_fast, u_slow = state.split(self.sizes, 1)
+        u_fast = torch.lerp(u_fast, self.to_fast(torch.cat((x, h), 1)), 1.0 / self.tau[0])
+        u_slow = torch.lerp(u_slow, self.to_slow(h), 1.0 / self.tau[1])
+        return self.output(torch.tanh(u_fast)), torch.cat((u_fast, u_slow), 1)
+
+    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """See RecurrentNetwork.forward; the state gets no gradient."""
+        rate = state.new_tensor([1.0 / tau for tau in self.tau]).repeat_interleave(state.new_tensor(self.sizes).long())
+        parts = (self.to_fast, self.to_slow, self.output)
+        return MtrnnLoop.apply(x, closed, state, rate, *(p for part in parts for p in (part.weight, part.bias)))
+
+
+RNNS: dict[str, Callable[[int, int], RecurrentNetwork]] = {cls.name: cls for cls in (LSTM, GRU, MTRNN)}
+
+
+def make_rnn(name: str, posture_size: int = 8, feature_size: int = 30) -> RecurrentNetwork:
+    """A network of Table I by its name: "lstm", "gru" or "mtrnn"."""
+    if name not in RNNS:
+        raise ValueError(f"unknown network {name!r}; known: {', '.join(RNNS)}")
+    return RNNS[name](posture_size, feature_size)

@@ -1,0 +1,130 @@
+"""Training of the autoencoder (Eq. 1, with the pixels of what moves weighted)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from models.data.demonstrations import iterate_frames, read_demonstrations, read_header
+from models.files.weights import save_autoencoder
+from models.networks.cae import ConvolutionalAutoencoder, to_image
+from models.training.trainer import StepModule, TrainingOptions, fit, prepare, step_generator
+
+
+@dataclass(kw_only=True)
+class CaeOptions(TrainingOptions):
+    """Trains the convolutional autoencoder on the pictures of the training demonstrations.
+
+    Args:
+        max_images: images shown in all; decides the training time.
+        batch_size: images an update.
+        frame_stride: every so many-th frame of a demonstration is used (each demonstration with another phase).
+        foreground_weight: weight of a pixel that differs from the median picture; 1 is the paper's plain MSE.
+        foreground_threshold: from that difference on, of [0, 1], in any channel.
+        feature_activation: "tanh", or the paper's "relu".
+        feature_noise: std of Gaussian noise on the features, which spreads them over their range.
+        noise: std of Gaussian noise on the input pixels, of [0, 1].
+        colour: half range of the random brightness, contrast and channel gains.
+        learning_rate: of Adam, decays to a hundredth by a cosine.
+        checkpoint_every: updates between checkpoints.
+    """
+
+    max_images: int = 90_000
+    batch_size: int = 64
+    frame_stride: int = 1
+    foreground_weight: float = 16.0
+    foreground_threshold: float = 0.08
+    feature_activation: str = "tanh"
+    feature_noise: float = 0.03
+    noise: float = 0.02
+    colour: float = 0.05
+    learning_rate: float = 1e-3
+    checkpoint_every: int = 200
+
+
+def load_frames(path: Path, stride: int = 1) -> np.ndarray:
+    """Pictures of the training demonstrations in memory, uint8 (n, 112, 112, 3)."""
+    demos = read_demonstrations(path, "train")
+    phases = [i % stride for i in range(len(demos))]
+    counts = [len(range(p, len(d.posture), stride)) for p, d in zip(phases, demos, strict=True)]
+    frames = np.empty((sum(counts), 112, 112, 3), np.uint8)
+    row = 0
+    for phase, count, rgb in zip(phases, counts, iterate_frames(path, [d.name for d in demos]), strict=True):
+        frames[row : row + count] = rgb[phase::stride]
+        row += count
+    return frames
+
+
+def median_image(frames: np.ndarray, samples: int = 501) -> np.ndarray:
+    """Median picture (112, 112, 3), uint8, over evenly spaced frames."""
+    picked = np.linspace(0, len(frames) - 1, min(samples, len(frames))).astype(int)
+    return np.median(frames[picked], axis=0).astype(np.uint8)
+
+
+def augment(image: Tensor, noise: float, colour: float, generator: torch.Generator) -> Tensor:
+    """Images (B, 3, 112, 112) with random brightness, contrast, channel gains and Gaussian noise."""
+
+    def uniform(*shape: int) -> Tensor:
+        return colour * (2.0 * torch.rand(len(image), *shape, 1, 1, generator=generator) - 1.0).to(image.device)
+
+    gain = (1.0 + uniform(1)) * (1.0 + 0.5 * uniform(3))
+    offset = 0.5 * uniform(1)
+    grain = torch.randn(image.permute(0, 2, 3, 1).shape, generator=generator).permute(0, 3, 1, 2).to(image.device)
+    return (image - 0.5) * gain + (0.5 + offset) + noise * grain
+
+
+class CaeModule(StepModule):
+    """The autoencoder under training. Batches are uint8 (B, 112, 112, 3)."""
+
+    median: Tensor
+
+    def __init__(self, options: CaeOptions, frames: np.ndarray, metadata: dict) -> None:
+        super().__init__(
+            max(1, options.max_images // options.batch_size), options.learning_rate, options.learning_rate / 100.0
+        )
+        self.options, self.frames, self.metadata = options, torch.from_numpy(frames), metadata
+        self.model = ConvolutionalAutoencoder(options.feature_activation)
+        self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.register_buffer("median", to_image(torch.from_numpy(median_image(frames))[None]), persistent=False)
+
+    def make_batch(self, step: int) -> Tensor:
+        """Without repetition within a pass over the frames."""
+        size, count = min(self.options.batch_size, len(self.frames)), len(self.frames)
+        per_pass = count // size
+        order = torch.randperm(count, generator=step_generator(self.options.seed, -1 - step // per_pass))
+        first = step % per_pass * size
+        return self.frames[order[first : first + size].sort().values]
+
+    def training_step(self, batch: Tensor, _: int) -> Tensor:
+        """Eq. 1 from an augmented to the clean picture, weighted."""
+        options, generator = self.options, step_generator(self.options.seed, self.trainer.global_step)
+        clean = to_image(batch)
+        feature = self.model.encode(augment(clean, options.noise, options.colour, generator))
+        spread = feature + options.feature_noise * torch.randn(feature.shape, generator=generator).to(feature.device)
+        error = (self.model.decode(spread) - clean).square()
+        # What stands still in all pictures is most of the area and tells nothing: the can is a few dozen pixels.
+        moving = (clean - self.median).abs().amax(1, keepdim=True) > options.foreground_threshold
+        weight = 1.0 + (options.foreground_weight - 1.0) * moving
+        loss = (weight * error).mean() / weight.mean()
+        self.log("loss", loss.detach(), prog_bar=True)
+        self.log("mse", error.detach().mean())
+        self.log("least_feature_std", feature.detach().std(0).min(), prog_bar=True)
+        return loss
+
+    def export(self, step: int, final: bool) -> None:
+        """Writes cae.safetensors with the present weights."""
+        save_autoencoder(self.options.out / "cae.safetensors", self.model, self.metadata | {"step": step})
+
+
+def train_cae(options: CaeOptions) -> Path:
+    """Runs the training and returns the path of the weight file."""
+    prepare(options)
+    frames = load_frames(options.data, options.frame_stride)
+    metadata = {"training": options.as_metadata(), "data_hash": read_header(options.data).content_hash}
+    print(f"{len(frames)} training frames, {frames.nbytes / 1e9:.2f} GB; {options.max_images} images to show")
+    fit(CaeModule(options, frames, metadata), options, options.checkpoint_every, log_every=20)
+    return options.out / "cae.safetensors"

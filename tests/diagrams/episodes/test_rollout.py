@@ -1,0 +1,322 @@
+"""The whole closed loop in physics, with networks that know the teacher's motion by heart instead of trained ones."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from pydrake.geometry import Meshcat, MeshcatParams
+
+from diagrams.episodes import rollout as rollout_module
+from diagrams.episodes.episode import DisturbanceDraw, Episode
+from diagrams.episodes.rollout import Record, Rollout
+from diagrams.world.scenario import World
+from diagrams.world.station import ARM_JOINTS
+
+CAN = (0.555, -0.041)
+
+
+class Run:
+    """One run, with what the network was fed."""
+
+    def __init__(self, rollout, policy, encoder, episode):
+        calls, self.told = encoder.calls, []
+        policy.learn(episode)
+        self.episode = episode
+        self.outcome, self.record = rollout.run(episode, on_event=lambda t, what: self.told.append((t, what)))
+        self.inputs = np.array(policy.inputs)
+        self.encoded = encoder.calls - calls
+
+    def words(self):
+        return [what for _, what in self.told]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(rollout, policy, encoder):
+    return Run(rollout, policy, encoder, Episode(0, CAN, "left"))
+
+
+def disturbed_by_A(draws, subtask):
+    """The first episode of kind A in that subtask."""
+    return next(e for e in (draws.draw(s, "A") for s in range(100)) if e.disturbance.subtask == subtask)
+
+
+@pytest.fixture(scope="module")
+def moved_on_the_way_to_the_can(rollout, policy, encoder, draws):
+    return Run(rollout, policy, encoder, disturbed_by_A(draws, 1))
+
+
+@pytest.fixture(scope="module")
+def moved_with_the_can(rollout, policy, encoder, draws):
+    return Run(rollout, policy, encoder, disturbed_by_A(draws, 2))
+
+
+@pytest.fixture(scope="module")
+def robbed(rollout, policy, encoder):
+    """Stopped on the way to the shelf; the can is taken and put elsewhere on the desk."""
+    draw = DisturbanceDraw("B", 2, 0.10, None, 20, (0.61, 0.05))
+    return Run(rollout, policy, encoder, Episode(8, (0.50, 0.02), "right", draw))
+
+
+def assert_task_done(run):
+    outcome = run.outcome
+    assert (outcome.picked, outcome.placed, outcome.home, outcome.success) == (True, True, True, True)
+    assert outcome.failure is None
+    assert run.words()[-1] == "task done"
+
+
+def test_undisturbed_task_is_done(undisturbed):
+    assert_task_done(undisturbed)
+    outcome = undisturbed.outcome
+    assert (outcome.switched, outcome.false_switches, outcome.switch_success) == (False, 0, True)
+    assert outcome.returned is outcome.resumed is outcome.detection_delay_s is None
+    assert undisturbed.record.alpha.max() < 1e-6
+    assert not undisturbed.record.active.any()
+    assert undisturbed.words() == [
+        "subtask 1: pick the can", "picked; subtask 2: place the can", "placed", "task done",
+    ]  # fmt: skip
+
+
+def test_outcome_is_json(undisturbed, moved_with_the_can):
+    for run in (undisturbed, moved_with_the_can):
+        assert json.loads(json.dumps(run.outcome.to_dict()))["success"] is True
+
+
+def test_records_have_a_row_a_tick(undisturbed, policy):
+    record, n = undisturbed.record, len(undisturbed.record.time)
+    shapes = {
+        "posture": (8,), "rnn_step": (8,), "regulator_step": (8,), "desired_posture": (8,), "alpha": (), "active": (),
+        "errors": (11,), "squared_errors": (11,), "hidden_state": (policy.state_size,), "can_poses": (14,),
+        "features": (policy.feature_size,), "time": (),
+    }  # fmt: skip
+    assert {f.name for f in fields(Record)} == {*shapes, "events"}
+    assert {name: getattr(record, name).shape for name in shapes} == {name: (n, *s) for name, s in shapes.items()}
+    assert undisturbed.outcome.sim_seconds == pytest.approx(0.1 * n)
+    assert record.time == pytest.approx(0.1 * np.arange(n))
+
+
+def test_ticks_are_aligned(undisturbed, policy, world):
+    """Row k of the record is what the network got and gave in tick k."""
+    record, inputs = undisturbed.record, undisturbed.inputs
+    assert len(inputs) == len(record.time)  # one update a tick
+    assert undisturbed.encoded - len(record.time) in (0, 1)  # one picture a tick (two at time 0)
+    assert policy.scaling.unscale(inputs[:, :8]) == pytest.approx(record.posture, abs=1e-12)
+    assert inputs[:, 8:] == pytest.approx(record.features, abs=1e-12)
+
+
+def test_command_of_a_tick_is_equation_3(undisturbed, moved_with_the_can, world):
+    for run in (undisturbed, moved_with_the_can):
+        record = run.record
+        padded = np.append(np.zeros(8), record.alpha)
+        last = np.lib.stride_tricks.sliding_window_view(padded, 9)  # up to alpha_k
+        # The joints wait for one tick under a low alpha, the fingers for eight.
+        alpha = np.column_stack([last[:, -2:].max(axis=1)] * ARM_JOINTS + [last.max(axis=1)])
+        mixed = record.posture + (1 - alpha) * record.rnn_step + record.regulator_step
+        assert record.desired_posture == pytest.approx(mixed, abs=1e-9)
+        pull = -0.1 * (record.posture - world.initial_posture)
+        pull[:, -1] = 0.0
+        assert record.regulator_step == pytest.approx(pull, abs=1e-6)
+
+
+def test_arm_has_followed_the_command_by_the_next_tick(undisturbed):
+    """No tick is lost between the command and the posture."""
+    record = undisturbed.record
+    lag = np.abs(record.posture[1:, :ARM_JOINTS] - record.desired_posture[:-1, :ARM_JOINTS])
+    assert lag.max() < np.deg2rad(0.5)
+    assert np.abs(np.diff(record.posture[:, :ARM_JOINTS], axis=0)).max() > np.deg2rad(1.5)
+    assert np.array_equal(record.posture[1:, -1], record.desired_posture[:-1, -1])
+
+
+def test_loop_is_closed_with_alpha_of_the_tick_before(moved_with_the_can, policy):
+    record, inputs = moved_with_the_can.record, moved_with_the_can.inputs
+    assert record.alpha.max() > 0.999
+    share = 1.0 - np.append(0.0, record.alpha[:-1])
+    # The fake predicts 0 for its features.
+    assert inputs[:, 8:] == pytest.approx(share[:, None] * record.features, abs=1e-9)
+    measured = policy.scaling.scale(record.posture)
+    imagined = share < 1e-3
+    assert np.abs(inputs[:, :7] - measured[:, :7]).max(axis=1)[imagined].max() > 0.05
+    assert inputs[~imagined & (share > 1 - 1e-9), :8] == pytest.approx(
+        measured[~imagined & (share > 1 - 1e-9)], abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("name", ["moved_on_the_way_to_the_can", "moved_with_the_can"])
+def test_moved_arm_goes_home_and_finishes(name, request, world):
+    run = request.getfixturevalue(name)
+    outcome, record, draw = run.outcome, run.record, run.episode.disturbance
+    assert_task_done(run)
+    assert (outcome.switched, outcome.returned, outcome.resumed, outcome.switch_success) == (True, True, True, True)
+    assert outcome.switch_failure is None
+    assert 0.0 <= outcome.detection_delay_s <= 0.5
+    assert outcome.false_switches == 0
+    assert outcome.alpha_max_before < 1e-6
+    # 8 ticks of the move and the hold; then the arm is where it was brought to.
+    active = np.flatnonzero(record.active)
+    assert np.array_equal(active, np.arange(active[0], active[0] + 8 + draw.hold_ticks))
+    assert record.posture[active[-1], :7] == pytest.approx(np.array(draw.target_joints), abs=np.deg2rad(1.0))
+    # The way home is the LQR's: a tenth of what is left a tick; the fingers keep their command.
+    end = active[-1] + 1
+    off = np.abs(record.posture[end : end + 15, :7] - world.initial_posture[:7]).max(axis=1)
+    assert off[1:] == pytest.approx(0.9 * off[:-1], rel=0.1)
+    away = record.alpha > 0.999
+    assert len(set(record.posture[away, -1])) == 1
+    words = run.words()
+    order = [
+        "the experimenter disturbs the arm", "recall fails: switched to the LQR", "at the initial posture",
+        "recalls again: the network resumes", "placed", "task done",
+    ]  # fmt: skip
+    assert [word for word in words if word in order] == order
+
+
+def test_fingers_never_open_on_the_way_home(moved_with_the_can):
+    """The network imagines that it has put the can down; when it has the arm again, the can is still in the hand."""
+    record = moved_with_the_can.record
+    resumed = np.flatnonzero(record.alpha > 0.5)[-1] + 1
+    assert np.all(record.desired_posture[resumed - 20 : resumed + 10, -1] < 0.05)
+
+
+def test_robbed_hand_goes_home_and_picks_the_can_up_again(robbed):
+    assert_task_done(robbed)
+    assert robbed.outcome.switch_success
+    words = robbed.words()
+    assert "the can is taken from the hand and put elsewhere on the desk" in words
+    assert words.count("picked; subtask 2: place the can") == 2
+    active = np.flatnonzero(robbed.record.active)
+    assert np.array_equal(active, np.arange(active[0], active[0] + 20))
+    # Stopped: the arm stands where it was.
+    stopped = robbed.record.posture[active[2:], :7]
+    assert np.ptp(stopped, axis=0).max() < np.deg2rad(0.5)
+
+
+def test_same_episode_gives_the_same_bits(rollout, policy, encoder, moved_on_the_way_to_the_can):
+    first = moved_on_the_way_to_the_can
+    again = Run(rollout, policy, encoder, first.episode)
+    for field in fields(Record):
+        a, b = getattr(first.record, field.name), getattr(again.record, field.name)
+        assert a == b if field.name == "events" else a.tobytes() == b.tobytes(), field.name
+    timed = {"wall_seconds", "realtime_factor"}
+    assert {k: v for k, v in first.outcome.to_dict().items() if k not in timed} == {
+        k: v for k, v in again.outcome.to_dict().items() if k not in timed
+    }
+
+
+def test_a_network_that_does_nothing_has_stalled(rollout, policy, encoder, monkeypatch):
+    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 6.0)
+    monkeypatch.setattr(policy, "learn", lambda episode: setattr(policy, "_ways", {}) or setattr(policy, "inputs", []))
+    monkeypatch.setattr(type(encoder), "encode", lambda self, rgb: np.zeros(self.feature_size))
+    run = Run(rollout, policy, encoder, Episode(0, CAN, "left"))
+    assert (run.outcome.success, run.outcome.failure, run.outcome.sim_seconds) == (False, "stalled", 6.0)
+    assert run.words()[-1] == "time is up"
+
+
+class Diverging:
+    """A simulator whose physics ends after a second: in a step, or with a state that only the next one would find."""
+
+    def __init__(self, simulator, plant=None):
+        self._simulator, self._plant = simulator, plant
+
+    def __getattr__(self, name):
+        return getattr(self._simulator, name)
+
+    def AdvanceTo(self, seconds):
+        if seconds > 1.0 and self._plant is None:
+            raise RuntimeError("a non-finite number")
+        status = self._simulator.AdvanceTo(seconds)
+        if seconds > 1.0:
+            context = self._plant.GetMyMutableContextFromRoot(self._simulator.get_mutable_context())
+            context.get_mutable_discrete_state_vector().SetAtIndex(self._plant.num_positions() - 1, np.inf)
+        return status
+
+
+@pytest.mark.parametrize("in_a_step", [True, False])
+def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkeypatch, in_a_step):
+    plant = None if in_a_step else rollout.station.plant
+    monkeypatch.setattr(rollout, "simulator", Diverging(rollout.simulator, plant))
+    run = Run(rollout, policy, encoder, Episode(0, CAN, "left"))
+    assert (run.outcome.success, run.outcome.switch_success) == (False, False)
+    assert run.outcome.failure == run.outcome.switch_failure == "simulation diverged"
+    assert len(run.record.time) == 10
+
+
+def test_no_disturbance_came(rollout, policy, encoder, monkeypatch):
+    """The moment never comes within the time: said, and not a success of the switching."""
+    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 2.0)
+    run = Run(rollout, policy, encoder, Episode(0, CAN, "left", DisturbanceDraw("B", 1, 0.01, None, 20)))
+    assert (run.outcome.success, run.outcome.switch_success) == (False, False)
+    assert (run.outcome.switch_failure, run.outcome.returned) == ("not disturbed", False)
+
+
+def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, monkeypatch, moved_on_the_way_to_the_can):
+    """The network cannot finish within the limit; how long it is given depends on the disturbance."""
+    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 14.0)
+    first = moved_on_the_way_to_the_can
+    run = Run(rollout, policy, encoder, first.episode)
+    onset = np.flatnonzero(first.record.active)[0]
+    resumed = onset + np.flatnonzero(first.record.alpha[onset + 10 :] <= 0.1)[0] + 10
+    assert run.outcome.sim_seconds == pytest.approx(14.0 + 0.1 * (resumed - onset))
+
+
+def test_a_run_for_the_detection_alone_ends_soon_after_the_disturbance(rollout, policy, moved_on_the_way_to_the_can):
+    whole = moved_on_the_way_to_the_can
+    policy.learn(whole.episode)
+    outcome, record = rollout.run(whole.episode, until="detection")
+    assert (outcome.success, outcome.failure) == (None, None)
+    end = np.flatnonzero(whole.record.active)[-1] + 1
+    assert len(record.time) == end + 5
+    assert np.array_equal(record.errors, whole.record.errors[: end + 5])
+
+
+def test_a_run_for_the_switching_alone_ends_once_it_is_decided(rollout, policy, moved_on_the_way_to_the_can):
+    whole = moved_on_the_way_to_the_can
+    policy.learn(whole.episode)
+    outcome, record = rollout.run(whole.episode, until="switching")
+    assert (outcome.success, outcome.failure, outcome.paper_switch_success) == (None, None, None)
+    assert (whole.outcome.success, whole.outcome.paper_switch_success) == (True, True)
+    for name in ("switch_success", "detection_delay_s", "return_s", "resume_s", "switch_failure"):
+        assert getattr(outcome, name) == getattr(whole.outcome, name)
+    assert record.alpha[-1] <= 0.1 < record.alpha[-2]
+    ticks = len(record.time)
+    assert ticks < len(whole.record.time)
+    assert np.array_equal(record.errors, whole.record.errors[:ticks])
+
+
+def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
+    names = {system.get_name() for system in rollout.diagram.GetSystems()}
+    assert names == {"station", "switched_controller", "disturbance"}
+    wires = {
+        f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
+        f"{target.get_name()}.{target.get_input_port(into).get_name()}"
+        for (target, into), (source, out) in rollout.diagram.connection_map().items()
+    }
+    assert wires == {
+        "station.rgb_image -> switched_controller.rgb_image",
+        "station.posture -> switched_controller.posture",
+        "switched_controller.desired_posture -> disturbance.desired_posture",
+        "station.approach_distance -> disturbance.trigger",
+        "disturbance.disturbed_posture -> station.desired_posture",
+    }
+
+
+def test_another_gain_than_the_trained_one_is_refused(encoder, policy):
+    world = World()
+    world.regulator = replace(world.regulator, input_weight=10.0)
+    with pytest.raises(ValueError, match=r"was trained with 0\.1"):
+        Rollout(world, encoder, policy)
+
+
+def test_replay_and_film_are_written(world, encoder, policy, tmp_path, monkeypatch):
+    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 0.5)
+    film = tmp_path / "film.mp4"
+    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    rollout = Rollout(world, encoder, policy, meshcat=meshcat, video=film)
+    meshcat.StartRecording(set_visualizations_while_recording=False)
+    policy.learn(Episode(0, CAN, "left"))
+    rollout.run(Episode(0, CAN, "left"))
+    meshcat.StopRecording()
+    meshcat.PublishRecording()
+    rollout.video.Save()
+    assert film.stat().st_size > 1000
+    page = meshcat.StaticHtml()
+    assert "set_animation" in page or "can_to_pick" in page
+    assert "http://" not in page.split("<body", 1)[0].replace("http://www.w3.org", "")

@@ -1,0 +1,107 @@
+"""Configuration: defaults, YAML over them, and one clear error for what does not fit."""
+
+import numpy as np
+import pytest
+
+from diagrams.world.scenario import Grid, Scenario, World, load_scenario
+from models.errors import InputError
+
+
+def test_a_file_goes_over_the_defaults(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text("seed: 7\ncan: [0.5, 0.02]\nworld:\n  regulator: {input_weight: 45.0}\n")
+    scenario = load_scenario(path)
+    assert (scenario.seed, scenario.can, scenario.rnn) == (7, [0.5, 0.02], "lstm")
+    assert scenario.world.regulator.input_weight == 45.0
+    assert scenario.world.regulator.state_weight == 1.0
+    assert scenario.world.timing.period == 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("sed: 7", "sed"),
+        ("world:\n  grid: {spacings: 0.1}", "spacings"),
+        ("seed: many", "many"),
+        ("seed: [", "does not fit"),
+    ],
+)
+def test_what_does_not_fit_is_named(tmp_path, text, named):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(text + "\n")
+    with pytest.raises(InputError, match=named) as caught:
+        load_scenario(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"no scenario file .*none\.yaml"):
+        load_scenario(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"rnn": "rnn"}, "no rnn 'rnn': choose one of lstm, gru, mtrnn"),
+        ({"disturbance": "C"}, "no disturbance 'C': choose one of none, A, B"),
+        ({"vacant": "up"}, "no vacant spot 'up': choose one of left, right"),
+        ({"seed": -1}, "seed -1 is negative"),
+        ({"can": [0.5]}, "does not have two numbers"),
+    ],
+)
+def test_choices_are_checked(change, named):
+    with pytest.raises(InputError, match=named):
+        Scenario(**change).check()
+
+
+@pytest.mark.parametrize(
+    ("part", "values", "named"),
+    [
+        ("timing", {"time_step": 0.0}, "world.timing.time_step is 0.0"),
+        ("timing", {"period": float("nan")}, "world.timing.period is nan"),
+        ("timing", {"period": 0.015}, "no multiple of time_step"),
+        ("timing", {"period": 0.001}, "no multiple of time_step"),
+        ("servo", {"stiffness": [1.0, 2.0]}, "world.servo.stiffness has shape"),
+        ("servo", {"damping": [-1.0] * 7}, "world.servo.damping is"),
+        ("servo", {"finger_stiffness": float("inf")}, "world.servo.finger_stiffness is inf"),
+        ("camera", {"width": 100}, "world.camera.width is 100"),
+        ("camera", {"height": 0}, "world.camera.height is 0"),
+        ("camera", {"field_of_view_deg": 180.0}, "no angle of view"),
+        ("grid", {"corner": [0.4]}, "world.grid.corner has shape"),
+        ("grid", {"corner": [0.4, float("inf")]}, "world.grid.corner is"),
+        ("grid", {"spacing": 0.0}, "world.grid.spacing is 0.0"),
+        ("grid", {"count": 1}, "world.grid.count is 1"),
+        ("regulator", {"input_weight": 0.0}, "world.regulator.input_weight is 0.0"),
+        (None, {"initial_joints_deg": [1.0]}, "world.initial_joints_deg has shape"),
+        (None, {"opening": 0.02}, "opening 0.02 m do not fit"),
+    ],
+)
+def test_what_is_no_world_is_named(part, values, named):
+    scenario = Scenario()
+    for name, value in values.items():
+        setattr(scenario.world if part is None else getattr(scenario.world, part), name, value)
+    with pytest.raises(InputError, match=named):
+        scenario.check()
+
+
+def test_the_defaults_pass():
+    Scenario().check()
+
+
+def test_half_of_the_grid_is_trained():
+    grid = Grid()
+    trained = grid.training_positions()
+    assert trained.shape == (50, 2)
+    assert len(np.unique(trained, axis=0)) == 50
+    assert grid.position(9, 9) - grid.position(0, 0) == pytest.approx([0.18, 0.18])
+    # No position is further from a trained one than its neighbour.
+    every = np.array([grid.position(i, j) for i in range(10) for j in range(10)])
+    nearest = np.linalg.norm(every[:, None] - trained, axis=2).min(axis=1)
+    assert nearest.max() == pytest.approx(grid.spacing)
+
+
+def test_initial_posture_is_in_radians_with_open_fingers():
+    posture = World().initial_posture
+    assert np.rad2deg(posture[:7]) == pytest.approx(World().initial_joints_deg)
+    assert posture[7] == 0.08

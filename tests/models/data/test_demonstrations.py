@@ -1,0 +1,75 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.data.demonstrations import (
+    DatasetError,
+    Demonstration,
+    iterate_frames,
+    read_demonstrations,
+    read_header,
+    subtask_ranges,
+)
+from tests.models import synthetic
+
+
+def ramp(first: int, moving: int, last: int) -> np.ndarray:
+    """One component standing, rising by 0.1 a tick, standing."""
+    return np.concatenate([np.zeros(first), 0.1 * np.arange(1, moving + 1), np.full(last, 0.1 * moving)])
+
+
+def demo(*parts: np.ndarray) -> Demonstration:
+    starts = tuple(int(n) for n in np.cumsum([0, *[len(p) for p in parts[:-1]]]))
+    posture = np.concatenate(parts)[:, None] * np.ones(8)
+    return Demonstration("demo_0", "train", np.zeros(2), "left", starts, posture, posture)
+
+
+def test_trims_dwell_to_three_ticks_at_the_start_and_fourteen_at_the_end() -> None:
+    # Tick 12 is the first away from the start's posture, tick 20 the last away from the end's.
+    assert subtask_ranges(demo(ramp(12, 10, 20), ramp(2, 10, 5))) == [(9, 35), (42, 59)]
+
+
+def test_small_movement_counts_as_dwell() -> None:
+    posture = ramp(12, 10, 20)
+    posture[8] = 0.015
+    assert subtask_ranges(demo(posture)) == [(9, 35)]
+    assert subtask_ranges(demo(posture), tolerance=0.01) == [(5, 35)]
+
+
+def test_nothing_moving_is_an_error() -> None:
+    with pytest.raises(DatasetError, match="demo_0: nothing moves"):
+        subtask_ranges(demo(np.zeros(30)))
+
+
+def test_reads_the_layout(data_file: Path) -> None:
+    demos = read_demonstrations(data_file)
+    assert [d.name for d in demos] == [f"demo_{i}" for i in range(8)]
+    assert {d.split for d in read_demonstrations(data_file, "valid")} == {"valid"}
+    assert len(read_demonstrations(data_file, "train")) == 4
+    assert demos[0].posture.shape == (100, 8)
+    assert demos[0].subtask_starts == (0, 48)
+    header = read_header(data_file)
+    np.testing.assert_array_equal(header.initial_posture, synthetic.INITIAL_POSTURE)
+    assert (header.period, header.total) == (0.1, 800)
+    (rgb,) = iterate_frames(data_file, ["demo_1"])
+    assert rgb.shape == (100, 112, 112, 3)
+    assert rgb.dtype == np.uint8
+
+
+def test_real_layout_trims_to_the_moving_part(data_file: Path) -> None:
+    for one in read_demonstrations(data_file):
+        for (start, stop), first in zip(subtask_ranges(one), one.subtask_starts, strict=True):
+            assert first <= start < first + 12
+            still = replace(one).posture[start]
+            assert np.abs(one.posture[start + 2] - still).max() < 0.02 < np.abs(one.posture[start + 3] - still).max()
+            assert stop <= len(one.posture)
+
+
+def test_missing_and_damaged_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"none\.h5: the data set does not exist"):
+        read_demonstrations(tmp_path / "none.h5")
+    (tmp_path / "bad.h5").write_bytes(b"no data")
+    with pytest.raises(DatasetError, match=r"bad\.h5: not a readable"):
+        read_header(tmp_path / "bad.h5")

@@ -1,0 +1,150 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from models.data.scaling import MinMaxScaling
+from models.data.sequences import Augmentation, SequencePack, errors, make_batch, pack_sequences, run, slow_noise
+from models.training.validation import validate
+from tests.models.conftest import make_policy
+from tests.models.data.test_demonstrations import demo, ramp
+
+QUIET = Augmentation(
+    finger_noise=0.0,
+    joint_noise=0,
+    feature_noise=0,
+    feature_slow_noise=0,
+    closed_finger_probability=0,
+    loop_probability=0,
+)
+INITIAL = torch.zeros(8)
+
+
+def random_pack(count: int = 6, length: int = 60, padding: int = 30) -> SequencePack:
+    g = torch.Generator().manual_seed(0)
+    m, f = (torch.rand(count, length + padding, n, generator=g) for n in (8, 30))
+    return SequencePack(m, f, m + 0.1, f + 0.1, length - 5 + torch.arange(count) % 6, torch.arange(count) % 2)
+
+
+def test_pack_aligns_targets_one_tick_ahead_and_rests_at_the_end() -> None:
+    one = demo(ramp(12, 10, 20), ramp(2, 10, 5))
+    one.posture[:] += 1e-4 * np.arange(len(one.posture))[:, None]
+    features = {"demo_0": np.arange(len(one.posture))[:, None] * np.ones(30)}
+    pack = pack_sequences([one], features, MinMaxScaling(-np.ones(8), np.ones(8)), padding=4)
+    assert pack.length.tolist() == [26, 17]
+    assert pack.subtask.tolist() == [0, 1]
+    assert pack.feature[0, :, 0].tolist() == [*range(9, 35), 34, 34, 34, 34]
+    assert pack.feature_target[0, :, 0].tolist() == [*range(10, 36), 35, 35, 35, 35]
+    assert pack.feature_target[1, 16, 0] == 58  # the very last tick has none after it
+    torch.testing.assert_close(pack.posture[0, :26], torch.from_numpy(one.posture[9:35]).float())
+    torch.testing.assert_close(pack.posture_target[0, :26], torch.from_numpy(one.posture[10:36]).float())
+
+
+def test_without_augmentation_inputs_are_the_data() -> None:
+    pack = random_pack()
+    for options in (None, QUIET):
+        batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+        torch.testing.assert_close(batch.x, torch.cat((pack.posture, pack.feature), -1).transpose(0, 1))
+        assert not batch.closed.any()
+        assert batch.last.tolist() == [54, 55, 56, 57, 58, 59]
+        assert batch.valid.sum(0).tolist() == [55, 56, 57, 58, 59, 60]
+
+
+def test_noise_has_the_asked_size_and_never_touches_targets() -> None:
+    pack = random_pack(64)
+    options = replace(QUIET, joint_noise=0.08, finger_noise=0.4, feature_noise=0.05, quiet_probability=0.0)
+    batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+    noise = batch.x - torch.cat((pack.posture, pack.feature), -1).transpose(0, 1)
+    assert noise[..., 7].std().item() == pytest.approx(0.4 * (2 / 3) ** 0.5, rel=0.1)
+    assert noise[..., :7].std().item() == pytest.approx(0.08 * (2 / 3) ** 0.5, rel=0.1)  # of knots joined by lines
+    assert noise[..., 8:].std().item() == pytest.approx(0.05, rel=0.05)
+    torch.testing.assert_close(batch.target[..., :8], pack.posture_target.transpose(0, 1))
+    torch.testing.assert_close(batch.pull[..., :7], batch.x[..., :7])  # the regulator sees what the network sees
+
+
+def test_slow_noise_is_linear_between_its_knots() -> None:
+    noise = slow_noise(200, 3, 2, 12, torch.Generator().manual_seed(0))
+    bends = (noise[2:] - 2 * noise[1:-1] + noise[:-2]).abs().amax(-1) > 1e-5
+    assert (bends.sum(0) <= 2 * (200 // 12 + 1)).all()
+
+
+def test_loop_stretches_rest_and_hold() -> None:
+    pack = random_pack(200)
+    options = replace(QUIET, loop_probability=1.0, loop_to_end_probability=0.5, hold_probability=1.0)
+    batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+    closed = batch.closed[..., 0]
+    assert closed.any(0).all()
+    assert not closed[0].any()
+    for b in range(200):
+        ticks = torch.nonzero(closed[:, b]).flatten()
+        assert (ticks.diff() == 1).all()
+        start, stop = int(ticks[0]), int(ticks[-1]) + 1
+        to_end = stop == len(closed)
+        if not to_end:
+            assert stop - start >= 20
+            assert batch.last[b] == pack.length[b] - 1
+        assert pack.length[b] - 1 <= batch.last[b] <= pack.length[b] - 1 + 30
+        assert torch.equal(batch.x[start - 1, b], batch.x[max(start - 2, 0), b])  # stood still for 2 ticks or more
+        clean = pack.posture[b, start:stop, :7]
+        torch.testing.assert_close(batch.pull[start:stop, b, :7], clean)
+
+
+def test_states_are_carried_over_from_the_end_dwell_or_the_rest() -> None:
+    pack = random_pack(400)
+    still = make_batch(pack, INITIAL, 7, None, torch.Generator())
+    assert torch.equal(still.carry, still.last)
+    options = replace(QUIET, loop_probability=0.5, carry_ticks=9)
+    batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+    back, rest = batch.last - batch.carry, batch.last - (pack.length - 1)
+    assert back.min() == 0
+    assert torch.all(back <= rest + 8)
+    assert set((back - rest).tolist()) >= set(range(9))  # every tick of the dwell's end
+    assert (back - rest).min() < -15  # and of the rest
+
+
+def test_closed_finger_at_the_start_of_the_first_subtask_only() -> None:
+    pack = random_pack(40)
+    batch = make_batch(
+        pack, INITIAL, 7, replace(QUIET, closed_finger_probability=1.0), torch.Generator().manual_seed(1)
+    )
+    changed = (batch.x[..., 7] != pack.posture[..., 7].t()).sum(0)
+    assert changed[pack.subtask == 1].eq(0).all()
+    assert changed[pack.subtask == 0].min() == 1
+    assert changed[pack.subtask == 0].max() == 4
+    grip = pack.posture[torch.arange(40), pack.length - 1, 7]
+    assert torch.equal(batch.x[0, pack.subtask == 0, 7], grip[pack.subtask == 0])
+
+
+def test_run_closes_the_loop_on_the_clipped_prediction() -> None:
+    rnn, pack = make_policy().rnn, random_pack(2, 25, 0)
+    batch = make_batch(pack, INITIAL, 7, None, torch.Generator())
+    batch.closed[10:15, 1] = True
+    with torch.no_grad():
+        rnn.output.bias[0] = 5.0
+        y, states = run(rnn, batch, rnn.initial_state(2))
+        state = rnn.initial_state(2)
+        wanted = batch.x[0]
+        for k in range(len(y)):
+            x = batch.x[k].clone()
+            if 10 <= k < 15:
+                x[1] = wanted.clip(-1, 1)[1]
+            wanted, state = rnn.step(x, state)
+            torch.testing.assert_close(y[k], wanted)
+    torch.testing.assert_close(states[-1], state)
+
+
+def test_error_of_the_command_is_eq_3_at_alpha_zero() -> None:
+    batch = make_batch(random_pack(2), torch.full((8,), 0.2), 7, None, torch.Generator())
+    y = torch.zeros(5, 2, 38)
+    posture, feature = errors(y, batch, 0.1)
+    m, target = batch.clean[:5], batch.target[:5]
+    torch.testing.assert_close(posture[..., :7], (0.1 * (m[..., :7] - 0.2) + target[..., :7]).square())
+    torch.testing.assert_close(posture[..., 7], target[..., 7].square())
+    torch.testing.assert_close(feature, target[..., 8:].square())
+
+
+def test_validation_gives_finite_figures() -> None:
+    result = validate(make_policy("gru").rnn, random_pack(), INITIAL, 0.1, 7)
+    assert set(result) == {"open", "feature", "auto", "rest", "start", "follow", "done"}
+    assert all(np.isfinite(value) for value in result.values())
