@@ -2,7 +2,7 @@
 
 from models.registry import Registry
 
-NETWORKS = Registry(
+NETWORKS: Registry = Registry(
     "network",
     {"lstm": "models.networks.rnn:LSTM", "gru": "models.networks.rnn:GRU", "mtrnn": "models.networks.rnn:MTRNN"},
 )
