@@ -20,9 +20,12 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from diagrams.world.scenario import RNNS, SPOTS, WEIGHTS, World, save_scenario
+from diagrams.world.configuration import World
+from diagrams.world.names import SPOTS, WEIGHTS
+from diagrams.world.scenario import save_scenario
 from models.errors import InputError
 from models.files.weights import WeightsError
+from models.networks import NETWORKS
 
 
 @dataclass
@@ -115,8 +118,8 @@ def main(item: Common) -> int:
 def _check(item: Common) -> None:
     if item.seed < 0:
         raise InputError(f"the seed {item.seed} is negative: choose a whole number from 0 on")
-    if isinstance(item, WithNetworks) and item.rnn not in RNNS:
-        raise InputError(f"there is no rnn '{item.rnn}': choose one of {', '.join(RNNS)}")
+    if isinstance(item, WithNetworks) and item.rnn not in NETWORKS:
+        raise InputError(f"there is no rnn '{item.rnn}': choose one of {', '.join(NETWORKS)}")
     least = {
         "samples": 1,
         "outside": 0,
@@ -172,7 +175,7 @@ def run_modes(item: Modes) -> int:
         from diagrams.episodes.sampling import EpisodeSampler
 
         with tqdm(desc="run", unit="tick", leave=False, disable=None) as bar:
-            episode = EpisodeSampler(world).draw(item.seed, item.disturbance, rnn=item.rnn)
+            episode = EpisodeSampler(world).sample(item.seed, item.disturbance, rnn=item.rnn)
             outcome, record = _rollout(item, world).run(episode, on_tick=lambda _: bar.update())
         paths = [item.out / f"run-{item.rnn}-{item.disturbance}-{item.seed}.npz"]
         save_record(paths[0], record, outcome)
@@ -192,9 +195,9 @@ def run_modes(item: Modes) -> int:
 
 def run_return(item: Return) -> int:
     """See Return."""
-    from diagrams.episodes.rollout import controller_limits
     from diagrams.hybrid.return_certificate import certify, holds, save_certificate
-    from diagrams.world.station import ARM_JOINTS, PickPlaceStation
+    from diagrams.world.names import ARM_JOINTS
+    from diagrams.world.station import PickPlaceStation, controller_limits
     from models.files.weights import load_policy
 
     world = World()
@@ -271,7 +274,7 @@ def run_guard(item: Guard) -> int:
 
     from diagrams.episodes.sampling import EpisodeSampler
     from diagrams.hybrid.guard import GuardProbe, bisect, holds, report, save_guard, scan
-    from diagrams.world.station import ARM_JOINTS
+    from diagrams.world.names import ARM_JOINTS
 
     if item.grid % 2 == 0:
         raise InputError(
@@ -281,7 +284,7 @@ def run_guard(item: Guard) -> int:
         raise InputError(f"--joints {item.joints} are not two different joints: choose from 1 to {ARM_JOINTS}")
     world = World()
     rollout = _rollout(item, world)
-    probe = GuardProbe(rollout, EpisodeSampler(world).draw(item.seed, "none", rnn=item.rnn), item.level, item.ticks)
+    probe = GuardProbe(rollout, EpisodeSampler(world).sample(item.seed, "none", rnn=item.rnn), item.level, item.ticks)
     directions = np.eye(ARM_JOINTS)[[joint - 1 for joint in item.joints]]
     with tqdm(total=item.grid**2, desc="grid", unit="point", disable=None) as bar:
         grid = scan(probe, directions, item.reach, item.grid, bar.update)
@@ -324,7 +327,7 @@ def run_falsify(item: Falsify) -> int:
     for name in ("optuna", "cmaes"):
         if importlib.util.find_spec(name) is None:
             raise InputError(f"the search needs {name}: pip install -e '.[analysis]'")
-    from diagrams.episodes.record import digest
+    from diagrams.episodes.record import record_hash
     from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
     from diagrams.hybrid import falsification as f
     from diagrams.hybrid.falsification_report import report, save_search
@@ -339,7 +342,7 @@ def run_falsify(item: Falsify) -> int:
     draws, station = EpisodeSampler(world), PickPlaceStation(world, camera=False)
     hand = HandKinematics(world.initial_posture[:-1])
     seeds = episode_seeds("validation", item.seed, item.scenes)
-    scenes = [draws.draw(seed, "none", rnn=item.rnn) for seed in seeds]
+    scenes = [draws.sample(seed, "none", rnn=item.rnn) for seed in seeds]
     identity = {
         "seed": item.seed, "scenes": item.scenes, "rnn": item.rnn, "weights_hash": policy.hash,
         "encoder_hash": encoder.hash, "world": repr(world),
@@ -382,7 +385,7 @@ def run_falsify(item: Falsify) -> int:
         again = pool.run([draws.episode(load_scenario(item.out / case["file"])) for case in cases.values()])
     replayed = {
         name: {"file": case["file"], "same_failure": outcome.switch_failure == case["failure"],
-               "same_bits": digest(record) == case["digest"]}
+               "same_bits": record_hash(record) == case["record_hash"]}
         for (name, case), (outcome, record) in zip(cases.items(), again, strict=True)
     }  # fmt: skip
     undisturbed = [outcome.success for outcome, _ in nominal]
@@ -415,7 +418,7 @@ def run_states(item: States) -> int:
 
     world = World()
     rollout = _rollout(item, world)
-    rollout.prepare(EpisodeSampler(world).draw(item.seed, "none", rnn=item.rnn))
+    rollout.prepare(EpisodeSampler(world).sample(item.seed, "none", rnn=item.rnn))
     found = report(rollout.diagram, rollout.simulator.get_context())
     _write(item, "states", found)
     save_graph(rollout.diagram, item.out / "graph.svg")

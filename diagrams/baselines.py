@@ -25,12 +25,13 @@ import numpy as np
 import tyro
 
 from diagrams.episodes.calibration import Calibration, make_window_detector, never_fires
-from diagrams.episodes.episode import Outcome, Until
-from diagrams.episodes.pool import Job, run_jobs, stretches
-from diagrams.episodes.rollout import Record
+from diagrams.episodes.episode import Outcome
+from diagrams.episodes.pool import Job, run_jobs
+from diagrams.episodes.record import Record, stretches
 from diagrams.episodes.sampling import episode_seeds
-from diagrams.world.scenario import DISTURBANCES, WEIGHTS, World
-from diagrams.world.station import ARM_JOINTS
+from diagrams.episodes.switching import Until
+from diagrams.world.configuration import World
+from diagrams.world.names import ARM_JOINTS, DISTURBANCES, WEIGHTS
 from models.errors import InputError
 from models.files.baselines import (
     METHODS,

@@ -19,10 +19,11 @@ import numpy as np
 import tyro
 
 from diagrams.episodes.calibration import Calibration, never_fires
-from diagrams.episodes.episode import Until
 from diagrams.episodes.pool import Job, Result, run_jobs
 from diagrams.episodes.sampling import episode_seeds
-from diagrams.world.scenario import WEIGHTS, World
+from diagrams.episodes.switching import Until
+from diagrams.world.configuration import World
+from diagrams.world.names import WEIGHTS
 from models.errors import InputError
 from models.files.weights import WeightsError, load_policy, save_policy
 

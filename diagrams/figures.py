@@ -24,12 +24,14 @@ import tyro
 
 from diagrams.episodes.calibration import policy_name
 from diagrams.episodes.episode import Episode, Outcome
-from diagrams.episodes.record import digest, load_record
-from diagrams.episodes.rollout import Record, Rollout
+from diagrams.episodes.record import Record, load_record, record_hash
+from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
-from diagrams.world.scenario import DISTURBANCES, RNNS, WEIGHTS, World
+from diagrams.world.configuration import World
+from diagrams.world.names import DISTURBANCES, WEIGHTS
 from models.errors import InputError
 from models.files.weights import WeightsError, load_autoencoder
+from models.networks import NETWORKS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,7 +69,7 @@ def recall_losses(weights: Path) -> dict[str, np.ndarray]:
     from models.files.weights import load_policy
 
     losses = {}
-    for rnn in RNNS:
+    for rnn in NETWORKS:
         paths = [path for seed in TRAINING_SEEDS if (path := weights / policy_name(rnn, seed)).is_file()]
         rows = [stored.mean_errors[1:] for path in paths if (stored := load_policy(path)).mean_errors is not None]
         if rows:
@@ -152,10 +154,10 @@ def choose(kind: str, rows: pd.DataFrame | None, arguments: FiguresArguments, dr
         good = mine["success"].astype(int) + mine["switch_success"].astype(int)
         seeds = [int(seed) for seed in mine["seed"][good == good.max()]]
     for seed in seeds if kind == "B" else []:
-        episode = draws.draw(seed, kind, rnn=arguments.rnn)
+        episode = draws.sample(seed, kind, rnn=arguments.rnn)
         if episode.disturbance.can_moved_to is not None:
             return episode
-    return draws.draw(seeds[0], kind, rnn=arguments.rnn)
+    return draws.sample(seeds[0], kind, rnn=arguments.rnn)
 
 
 def run(rollout: Rollout, episode: Episode) -> tuple[Outcome, Record, Looks]:
@@ -216,8 +218,8 @@ def principal_states(
     """What plots.save_states draws: the runs on the first principal components of all their hidden states, c_0 there, and the ratios."""
     from sklearn.decomposition import PCA
 
-    from diagrams.episodes.episode import HOME_TOLERANCE, LIFTED
-    from diagrams.world.station import CAN_HALF_HEIGHT
+    from diagrams.world.names import CAN_HALF_HEIGHT
+    from diagrams.world.task import HOME_TOLERANCE, LIFTED
 
     pca = PCA(3).fit(np.concatenate([record.hidden_state for record in records.values()]))
     runs = {}
@@ -272,8 +274,8 @@ def main(arguments: FiguresArguments) -> int:
     for name in ("sklearn", "pandas"):
         if importlib.util.find_spec(name) is None:
             raise InputError(f"the figures need {name}: pip install -e '.[sweep]'")
-    if arguments.rnn not in RNNS:
-        raise InputError(f"there is no rnn '{arguments.rnn}': choose one of {', '.join(RNNS)}")
+    if arguments.rnn not in NETWORKS:
+        raise InputError(f"there is no rnn '{arguments.rnn}': choose one of {', '.join(NETWORKS)}")
     torch.set_num_threads(1)  # as in every sweep: the sums are the same
     world, out = World(), arguments.out
     encoder_path = arguments.weights / "cae.safetensors"
@@ -302,9 +304,9 @@ def main(arguments: FiguresArguments) -> int:
         # Pictures are in no record.
         shown = "B" if "B" in given else list(given)[-1]
         record, was = given[shown]
-        episode = draws.draw(was["seed"], shown, tuple(was["can_xy"]), was["vacant"], rnn=arguments.rnn)
+        episode = draws.sample(was["seed"], shown, tuple(was["can_xy"]), was["vacant"], rnn=arguments.rnn)
         _, again, seen = run(rollout, episode)
-        if digest(again) == digest(record):
+        if record_hash(again) == record_hash(record):
             looks[shown] = seen
         else:
             print("Fig. 6: the record does not come out again from its seed (a --scenario of its own?): left out")

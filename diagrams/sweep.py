@@ -23,9 +23,11 @@ import tyro
 
 from diagrams.episodes.calibration import learned_hash, policy_name, stored_calibration
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
-from diagrams.world.scenario import DETECTORS, DISTURBANCES, RNNS, WEIGHTS
+from diagrams.world.names import DISTURBANCES, WEIGHTS
 from models.errors import InputError
 from models.files.weights import WeightsError
+from models.networks import NETWORKS
+from systems.detectors import DETECTORS
 
 try:
     from distributed import Client, LocalCluster, as_completed
@@ -61,7 +63,7 @@ class SweepArguments:
 def check(arguments: SweepArguments) -> None:
     """Raises InputError for a value outside its choices."""
     for name, values, choices in (
-        ("rnn", arguments.rnn, RNNS),
+        ("rnn", arguments.rnn, NETWORKS),
         ("detector", arguments.detector, DETECTORS),
         ("disturbance", arguments.disturbance, DISTURBANCES),
     ):

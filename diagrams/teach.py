@@ -20,7 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from diagrams.world.scenario import SPOTS, World
+from diagrams.world.configuration import World
+from diagrams.world.names import SPOTS
 from models.errors import InputError
 
 LAYOUT_VERSION = 2
@@ -65,7 +66,8 @@ class Teacher:
         from pydrake.systems.analysis import Simulator
 
         from diagrams.world.inverse_kinematics import HandKinematics
-        from diagrams.world.station import ARM_JOINTS, PickPlaceStation
+        from diagrams.world.names import ARM_JOINTS
+        from diagrams.world.station import PickPlaceStation
 
         self.world = world
         self.station = PickPlaceStation(world)
@@ -74,9 +76,9 @@ class Teacher:
 
     def give(self, lesson: Lesson) -> dict:
         """Runs one lesson; returns rgb (T,112,112,3), posture (T,8), actions (T,8), can_xy, success."""
-        from diagrams.episodes.episode import TaskMonitor
         from diagrams.world import trajectory as demonstration
-        from diagrams.world.station import CAN_HALF_HEIGHT
+        from diagrams.world.names import CAN_HALF_HEIGHT
+        from diagrams.world.task import TaskMonitor
 
         world, station, simulator = self.world, self.station, self.simulator
         can_xy = world.grid.position(*lesson.grid_index)

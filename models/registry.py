@@ -36,6 +36,11 @@ class Registry(Generic[T]):
             )
         return self._load(known.get(spec, spec))
 
+    def check(self, spec: str) -> None:
+        """Raises InputError unless `spec` names something; loads only what is given as `package.module:Class`."""
+        if spec not in self._specs():
+            self[spec]
+
     def label(self, spec: str) -> str:
         """The short name of what `spec` names: for file names, tables and pictures."""
         return spec if spec in self._specs() else self[spec].name  # type: ignore[attr-defined]

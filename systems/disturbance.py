@@ -1,6 +1,7 @@
 """The experimenter's hand: moves the arm away, or stops it, once in an episode (Sec. IV)."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
@@ -8,6 +9,18 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from systems.arguments import require_count, require_positive, require_vector
 
 KINDS = ("none", "A", "B")
+MOVE_TICKS = 8  # duration of the move of kind A, ticks
+
+
+# Not frozen, lists instead of tuples, no quoted types: Drake reads a subclass of it from YAML.
+@dataclass
+class DisturbanceParameters:
+    """What a disturbance does, once in an episode."""
+
+    kind: str = "none"  # none; A: the arm is moved away; B: it is stopped
+    level: float | None = None  # it begins at the first tick at which the trigger is below, unit of the trigger
+    target: list[float] | None = None  # A: where the first components are moved to, unit of the posture
+    hold_ticks: int = 0  # how long the arm is held there (A) or stopped (B), ticks
 
 
 class Disturbance(LeafSystem):
@@ -30,38 +43,25 @@ class Disturbance(LeafSystem):
         disturbed_posture: (M,) command for the arm, physical units. Direct feedthrough of `desired_posture` alone.
         active: (1,) 1 during the disturbance, else 0. No direct feedthrough.
 
-    The onset is the first tick at which trigger < trigger_level. The command that held until then is the command at
+    The onset is the first tick at which trigger < level. The command that held until then is the command at
     the onset. From that tick's update on, `disturbed_posture` is
-        kind "A": on a straight line in `move_ticks` equal steps from the command at the onset to the target (the first
-            step at once), then the target for `hold_ticks`; where the target is NaN, the command at the onset;
+        kind "A": on a straight line in MOVE_TICKS equal steps from the command at the onset to the target (the first
+            step at once), then the target for `hold_ticks`; components without a target keep the command at the onset;
         kind "B": the command at the onset for `hold_ticks`;
         kind "none": the input, always.
-    Afterwards it's transparent again, and stays so. Ticks since the onset and the command at the onset are discrete
-    state; kind, target, level and hold are Context parameters, so one diagram serves all episodes.
+    Afterwards it is transparent again, and stays so. Ticks since the onset and the command at the onset are discrete
+    state. The DisturbanceParameters are parameters of the Context, so one diagram serves all episodes.
     """
 
-    def __init__(
-        self,
-        *,
-        posture_size: int,
-        kind: str = "none",
-        target_posture: np.ndarray | None = None,
-        trigger_level: float = 0.0,
-        move_ticks: int = 8,
-        hold_ticks: int = 10,
-        period: float = 0.1,
-    ):
+    def __init__(self, *, posture_size: int, period: float = 0.1):
         """
         Args:
             posture_size: M.
-            kind, target_posture, trigger_level, hold_ticks: defaults of the parameters, see `set_disturbance`.
-            move_ticks: duration of the move of kind "A", ticks.
             period: of the ticks, s.
         """
         super().__init__()
         self._size = require_count("posture_size", posture_size)
-        self._move_ticks = require_count("move_ticks", move_ticks)
-        schedule, target = self._check(kind, target_posture, trigger_level, hold_ticks)
+        schedule, target = self._vectors(DisturbanceParameters())
         self._schedule = self.DeclareNumericParameter(BasicVector(schedule))
         self._target = self.DeclareNumericParameter(BasicVector(target))
         self._ticks = self.DeclareDiscreteState([-1.0])  # since the onset; -1 before it
@@ -75,55 +75,50 @@ class Disturbance(LeafSystem):
         self.DeclareVectorOutputPort("active", 1, self._calc_active, state)
         self.DeclarePeriodicDiscreteUpdateEvent(require_positive("period", period), 0.0, self._update)
 
-    def set_disturbance(
-        self,
-        context: Context,
-        kind: str,
-        target_posture: np.ndarray | None = None,
-        trigger_level: float = 0.0,
-        hold_ticks: int = 0,
-    ) -> None:
-        """Sets the parameters of an episode in this system's Context (not the root's); leaves its state alone.
+    def set_parameters(self, context: Context, parameters: DisturbanceParameters) -> None:
+        """Sets what an episode's disturbance does in this system's Context (not the root's); leaves its state alone.
 
-        Args:
-            kind: "none", "A" or "B".
-            target_posture: (M,) of kind "A", physical units; NaN in the components that keep their command.
-            trigger_level: the onset is the first tick with trigger < trigger_level; unit of the trigger.
-            hold_ticks: duration of the hold, ticks; at least 1 for kind "B".
+        Raises ValueError for a kind, a level, a target or a hold that makes no disturbance.
         """
-        schedule, target = self._check(kind, target_posture, trigger_level, hold_ticks)
+        schedule, target = self._vectors(parameters)
         context.get_mutable_numeric_parameter(self._schedule).SetFromVector(schedule)
         context.get_mutable_numeric_parameter(self._target).SetFromVector(target)
 
-    def _check(self, kind, target_posture, trigger_level, hold_ticks) -> tuple[list[float], np.ndarray]:
-        """Returns the parameter vectors [number of the kind, trigger level, hold ticks] and the target (M,)."""
-        if kind not in KINDS:
-            raise ValueError(f"kind is {kind!r}; it must be one of {', '.join(KINDS)}: pass one of them.")
-        if math.isnan(trigger_level):
-            raise ValueError("trigger_level is nan; it must be a number: pass the level that starts the disturbance.")
-        if target_posture is None:
-            if kind == "A":
-                raise ValueError('target_posture is None; kind "A" moves the arm to it: pass a posture.')
-            target_posture = np.full(self._size, np.nan)
-        target = require_vector("target_posture", target_posture, self._size, allow_nan=True)
-        hold_ticks = require_count("hold_ticks", hold_ticks, 1 if kind == "B" else 0)
-        return [float(KINDS.index(kind)), float(trigger_level), float(hold_ticks)], target
+    def ticks_since_onset(self, context: Context) -> int:
+        """Ticks since the onset in this system's Context, 0 at the onset itself; -1 before it."""
+        return int(context.get_discrete_state(self._ticks).value()[0])
 
-    def _parameters(self, context: Context) -> tuple[str, float, float]:
+    def _vectors(self, given: DisturbanceParameters) -> tuple[list[float], np.ndarray]:
+        """The parameter vectors: [number of the kind, level, hold ticks], and the target (M,), NaN where there is none."""
+        if given.kind not in KINDS:
+            raise ValueError(f"kind is {given.kind!r}; it must be one of {', '.join(KINDS)}: pass one of them.")
+        level = 0.0 if given.kind == "none" and given.level is None else given.level
+        if level is None or math.isnan(level):
+            raise ValueError(f"level is {level}; it must be a number: pass the level that starts the disturbance.")
+        if given.kind == "A" and given.target is None:
+            raise ValueError("target is None; kind 'A' moves the arm to it: pass a posture.")
+        target = np.full(self._size, np.nan)
+        if given.target is not None:
+            count = min(len(given.target), self._size)
+            target[:count] = require_vector("target", given.target, count)
+        hold_ticks = require_count("hold_ticks", given.hold_ticks, 1 if given.kind == "B" else 0)
+        return [float(KINDS.index(given.kind)), float(level), float(hold_ticks)], target
+
+    def _schedule_of(self, context: Context) -> tuple[str, float, float]:
         number, level, hold_ticks = context.get_numeric_parameter(self._schedule).value()
         return KINDS[int(number)], level, hold_ticks
 
     def _is_active(self, context: Context) -> bool:
-        kind, _, hold_ticks = self._parameters(context)
-        ticks = context.get_discrete_state(self._ticks).value()[0]
-        return kind != "none" and 0 <= ticks < hold_ticks + (self._move_ticks if kind == "A" else 0)
+        kind, _, hold_ticks = self._schedule_of(context)
+        ticks = self.ticks_since_onset(context)
+        return kind != "none" and 0 <= ticks < hold_ticks + (MOVE_TICKS if kind == "A" else 0)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        ticks = context.get_discrete_state(self._ticks).value()[0]
+        ticks = self.ticks_since_onset(context)
         if ticks >= 0:
             discrete_state.set_value(self._ticks, [ticks + 1])
             return
-        kind, level, _ = self._parameters(context)
+        kind, level, _ = self._schedule_of(context)
         if kind != "none" and self._trigger.Eval(context)[0] < level:
             discrete_state.set_value(self._ticks, [0.0])
             # The update sees the command of the tick before, which is what the arm follows until now.
@@ -134,11 +129,11 @@ class Disturbance(LeafSystem):
             output.SetFromVector(self._desired.Eval(context))
             return
         command = context.get_discrete_state(self._onset_command).value()
-        if self._parameters(context)[0] == "A":
+        if self._schedule_of(context)[0] == "A":
             target = context.get_numeric_parameter(self._target).value()
             target = np.where(np.isnan(target), command, target)
-            ticks = context.get_discrete_state(self._ticks).value()[0]
-            share = min((ticks + 1) / self._move_ticks, 1.0)
+            ticks = self.ticks_since_onset(context)
+            share = min((ticks + 1) / MOVE_TICKS, 1.0)
             command = (1.0 - share) * command + share * target
         output.SetFromVector(command)
 

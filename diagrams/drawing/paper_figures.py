@@ -13,9 +13,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from diagrams.episodes.episode import FALSE_ALARM
-from diagrams.episodes.rollout import Record
-from diagrams.world.station import ARM_JOINTS
+from diagrams.episodes.record import Record
+from diagrams.episodes.switching import GUARD
+from diagrams.world.names import ARM_JOINTS
 
 DPI = 110
 PAPER_GAMMA = 3.0
@@ -98,7 +98,7 @@ def save_states(
         len(runs), 2, figsize=(9, 4.0 * len(runs)), sharex=True, sharey="col", squeeze=False, layout="constrained"
     )
     for row, (title, (states, subtask, alpha)) in zip(axes, runs.items(), strict=True):
-        returning = alpha >= FALSE_ALARM
+        returning = alpha >= GUARD
         for axis, (i, j) in zip(row, planes, strict=True):
             for label, colour, chosen in (
                 ("subtask 1", "tab:blue", (subtask == 1) & ~returning),

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from diagrams.episodes.episode import FALSE_ALARM
-from diagrams.episodes.rollout import Record
-from diagrams.world.station import ARM_JOINTS
+from diagrams.episodes.record import Record
+from diagrams.episodes.switching import GUARD
+from diagrams.world.names import ARM_JOINTS
 
 FORMATS = (".png", ".svg", ".pdf")
 LABELLED = ("disturb", "switched", "initial posture", "resumes", "picked", "placed", "taken")
@@ -42,7 +42,7 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
     axes[3].semilogy(t, np.maximum(record.errors.max(axis=1), 1e-3), color="0.2", lw=1.0)
     axes[3].set_ylabel(r"max $l_n / r_n$")
     axes[4].plot(t, record.alpha, color="crimson", lw=1.4)
-    axes[4].axhline(FALSE_ALARM, color="0.6", lw=0.6, ls="--")
+    axes[4].axhline(GUARD, color="0.6", lw=0.6, ls="--")
     axes[4].set_ylim(-0.05, 1.05)
     axes[4].set_ylabel(r"$\alpha$")
     axes[4].set_xlabel("time (s)")
@@ -55,7 +55,7 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
             t,
             0,
             1,
-            where=record.alpha >= FALSE_ALARM,
+            where=record.alpha >= GUARD,
             color="crimson",
             alpha=0.08,
             lw=0,

@@ -10,10 +10,14 @@ from pathlib import Path
 import numpy as np
 from pydrake.systems.framework import System
 
-from diagrams.episodes.rollout import COMPONENT_WEIGHTS
-from diagrams.world.scenario import DETECTORS
+from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
 from systems.detector import RecallDetector
+from systems.detectors import DETECTORS
+
+# The recall of the joints is judged, not that of the fingers: under alpha = 1 they keep their command, whatever the
+# network goes through.
+COMPONENT_WEIGHTS = np.append(np.ones(ARM_JOINTS), 0.0)
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,11 @@ class Controller:
     policy: Path
     detector: str = "recall"
     calibration: Calibration | None = None
+
+    @property
+    def detector_label(self) -> str:
+        """The detector's short name."""
+        return DETECTORS.label(self.detector)
 
 
 def policy_name(rnn: str, training_seed: int = 0) -> str:

@@ -1,143 +1,127 @@
-"""Many episodes over worker processes, each of which builds the diagram once."""
+"""The one pool: jobs over worker processes of this machine. A cluster has the same face (diagrams/sweeps/cluster.py).
+
+Each worker is a process of its own that runs one job at a time. So a worker that dies takes one job with it, which is run
+again by a fresh worker; a job under which workers die again and again is given up.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import threading
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from queue import Empty, SimpleQueue
+from typing import Any, TypeVar
 
-import numpy as np
-
-from diagrams.episodes.calibration import Calibration, Controller
-from diagrams.episodes.episode import DETECTION_TICKS, Outcome, Until
-from diagrams.world.scenario import World
 from models.errors import InputError
 
-if TYPE_CHECKING:
-    from diagrams.episodes.rollout import Record, Rollout
+ATTEMPTS = 3  # of a job under which workers die
+J = TypeVar("J")
+R = TypeVar("R")
+T = TypeVar("T")
 
 
-KEPT = 2  # diagrams a process keeps, each with a renderer
+class WorkerDied(RuntimeError):
+    """A job under which so many workers died."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """One episode to draw and to run."""
+class Pool:
+    """Runs jobs on `workers` processes; a context manager. With 0 workers the jobs run in the calling thread."""
 
-    seed: int
-    kind: str
-    rnn: str = "lstm"
-    until: Until = "task"  # what the run ends with
-    log: Path | None = None  # .npz for the run's record, see diagrams/episodes/record.py
+    def __init__(self, workers: int):
+        """Raises InputError for a negative number of workers."""
+        if workers < 0:
+            raise InputError(f"the number of workers {workers} is too small: choose 1 or more")
+        self._workers, self._idle = workers, SimpleQueue[ProcessPoolExecutor]()
+        for _ in range(workers):
+            self._idle.put(_worker())
 
+    def __enter__(self) -> Pool:
+        return self
 
-@dataclass(frozen=True)
-class Result:
-    """An outcome, and how large the recall's errors were."""
+    def __exit__(self, *error: object) -> None:
+        while not self._idle.empty():
+            self._idle.get().shutdown(cancel_futures=True)
 
-    job: Job
-    outcome: Outcome
-    squared_error_sum: np.ndarray  # (N + 1) sum of l_n over the ticks without disturbance
-    ticks: int
-    peak_normal: np.ndarray  # (N + 1) largest l_n before the onset (of the whole run without one)
-    peak_disturbed: np.ndarray | None  # (N + 1) largest l_n from the onset to the end of the disturbance + 5 ticks
+    def run(
+        self,
+        function: Callable[[J], R],
+        jobs: Iterable[J],
+        given_up: Callable[[J, WorkerDied], R] | None = None,
+    ) -> Iterator[tuple[J, R]]:
+        """Yields each job with `function(job)`, as they come. May be called from several threads.
 
+        No more jobs are handed out than there are workers: a consumer that stops early leaves the others unbegun.
 
-class Worker:
-    """The episodes of one process: what they share is loaded once, and the diagram of each controller built once."""
+        Args:
+            function: of a module that can be imported; what it raises is raised here.
+            given_up: gives the result of a job under which ATTEMPTS workers died; None: WorkerDied is raised.
+        """
+        if not self._workers:
+            yield from ((job, function(job)) for job in jobs)
+            return
+        waiting = deque((job, 1) for job in jobs)
+        running: dict[Future, tuple[ProcessPoolExecutor, J, int]] = {}
+        try:
+            while waiting or running:
+                while waiting and (worker := self._take(block=not running)) is not None:
+                    job, attempt = waiting.popleft()
+                    running[worker.submit(function, job)] = worker, job, attempt
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    worker, job, attempt = running.pop(future)
+                    died = isinstance(future.exception(), BrokenProcessPool)
+                    self._idle.put(_worker() if died else worker)
+                    if not died:
+                        yield job, future.result()
+                    elif attempt < ATTEMPTS:
+                        waiting.append((job, attempt + 1))
+                    else:
+                        gone = WorkerDied(f"{ATTEMPTS} workers died in a row while they ran this job")
+                        if given_up is None:
+                            raise gone
+                        yield job, given_up(job, gone)
+        finally:
+            for future, (worker, _, _) in running.items():
+                future.exception()  # waits: a worker is handed back when it is free
+                self._idle.put(worker)
 
-    def __init__(self, world: World, encoder: Path):
-        # The batch-1 network is fastest on one thread, and the processes share the cores. Set before OpenMP starts.
-        os.environ["OMP_NUM_THREADS"] = "1"
-        import torch
-
-        from diagrams.episodes.sampling import EpisodeSampler
-        from models.inference import Encoder
-
-        torch.set_num_threads(1)
-        self._world, self._encoder = world, Encoder(encoder)
-        self._draws = EpisodeSampler(world)
-        self._rollouts: dict[Controller, Rollout] = {}
-
-    def rollout(self, controller: Controller) -> Rollout:
-        """The diagram with that controller; raises as diagrams.episodes.calibration.make_detector and Rollout do."""
-        from diagrams.episodes.calibration import make_detector
-        from diagrams.episodes.rollout import Rollout
-        from models.inference import Policy
-
-        if controller not in self._rollouts:
-            while len(self._rollouts) >= KEPT:
-                del self._rollouts[next(iter(self._rollouts))]  # the oldest: a sweep goes controller by controller
-            policy = Policy(controller.policy)
-            detector = make_detector(
-                controller.detector, policy, controller.policy.parent, calibration=controller.calibration
-            )
-            self._rollouts[controller] = Rollout(self._world, self._encoder, policy, detector)
-        return self._rollouts[controller]
-
-    def run(self, job: Job, controller: Controller) -> tuple[Outcome, Record]:
-        """Draws and runs the episode."""
-        episode = self._draws.draw(job.seed, job.kind, rnn=job.rnn, detector=controller.detector)
-        outcome, record = self.rollout(controller).run(episode, until=job.until)
-        if job.log is not None:
-            from diagrams.episodes.record import save_record
-
-            save_record(job.log, record, outcome)
-        return outcome, record
-
-
-def stretches(record: Record) -> tuple[slice, slice]:
-    """Ticks before the onset (all without one), and from the onset to the end of the disturbance + 5 ticks (none without one)."""
-    active = record.active > 0.5
-    onset = int(np.argmax(active)) if active.any() else len(active)
-    return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)
+    def _take(self, block: bool) -> ProcessPoolExecutor | None:
+        try:
+            return self._idle.get(block)
+        except Empty:
+            return None
 
 
-def digest_errors(job: Job, outcome: Outcome, record: Record) -> Result:
-    """What the calibration and the evaluation need of a run."""
-    before, after = stretches(record)
-    errors, disturbed = record.squared_errors[before], record.squared_errors[after]
-    peak = disturbed.max(axis=0) if len(disturbed) else None
-    return Result(job, outcome, errors.sum(axis=0), len(errors), errors.max(axis=0), peak)
+def _worker() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
 
 
-_worker: Worker | None = None
+def _begin() -> None:
+    """In a fresh worker: one thread for torch, since the processes share the cores; and an end with its parent."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # before OpenMP starts
+
+    def end_with_parent() -> None:
+        multiprocessing.parent_process().join()  # type: ignore[union-attr]
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
-def _run(
-    world: World, encoder: Path, job: Job, controller: Controller, digest: Callable[[Job, Outcome, Record], Any]
-) -> Any:
-    global _worker
-    # With the first job, not by the pool's initializer, whose errors never reach the parent.
-    _worker = _worker or Worker(world, encoder)
-    return digest(job, *_worker.run(job, controller))
+_thread = threading.local()
 
 
-def run_jobs(
-    world: World,
-    encoder: Path,
-    policy: Path,
-    jobs: list[Job],
-    *,
-    workers: int,
-    calibration: Calibration | None = None,
-    detector: str = "recall",
-    digest: Callable[[Job, Outcome, Record], Any] = digest_errors,
-) -> Iterator[Any]:
-    """Runs `jobs` and yields `digest(job, outcome, record)` of each as it comes; `calibration` replaces the one in the files.
+def kept_in_thread(key: Hashable, make: Callable[[], T], most: int = 1) -> T:
+    """What `make` made in this thread for `key`; made once, kept for the next jobs together with the `most` last of its kind.
 
-    Raises what the first job that fails raises, WeightsError and InputError among it, and begins no other.
+    The first entry of a `key` that is a tuple is its kind. A thread, not a process: a renderer belongs to the thread that made it.
     """
-    if workers < 1:
-        raise InputError(f"the number of workers {workers} is too small: choose 1 or more")
-    controller = Controller(policy, detector, calibration)
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        for future in as_completed([pool.submit(_run, world, encoder, job, controller, digest) for job in jobs]):
-            yield future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+    kind = key[0] if isinstance(key, tuple) else key
+    kept: dict[Any, Any] = _thread.__dict__.setdefault(f"kept_{kind}", {})
+    if key not in kept:
+        while len(kept) >= most:
+            del kept[next(iter(kept))]  # the oldest
+        kept[key] = make()
+    return kept[key]

@@ -1,4 +1,4 @@
-"""Records on disk: what `pick_place.py --log FILE.npz` leaves behind, and what the analysis reads."""
+"""The record of a run: every tick, some pictures, and the file that keeps them."""
 
 from __future__ import annotations
 
@@ -8,25 +8,60 @@ import json
 import os
 import zipfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from diagrams.episodes.episode import Outcome
-from diagrams.episodes.rollout import Record
+from diagrams.episodes.switching import DETECTION_TICKS
 from models.errors import InputError
+
+PICTURE_EVERY = 5  # ticks between two pictures that are kept
+_REMEDY = "write one with `pick_place.py --record FILE.npz`"
+
+
+@dataclass
+class Record:
+    """One run, a row a tick (taken in the middle of the tick); angles rad, lengths m."""
+
+    time: np.ndarray  # (n,) s, of the tick
+    posture: np.ndarray  # (n, 8) m_k as sampled
+    rnn_step: np.ndarray  # (n, 8) dm^R
+    regulator_step: np.ndarray  # (n, 8) dm^L
+    desired_posture: np.ndarray  # (n, 8) command
+    alpha: np.ndarray  # (n,)
+    errors: np.ndarray  # (n, E) of the detector; of the recall, l_n / reference error
+    hidden_state: np.ndarray  # (n, S)
+    features: np.ndarray  # (n, 30)
+    predicted_features: np.ndarray  # (n, 30) f^R_{k+1}
+    active: np.ndarray  # (n,) disturbance under way
+    can_poses: np.ndarray  # (n, 14)
+    squared_errors: np.ndarray  # (n, N + 1) l_n, scaled postures
+    picture_ticks: np.ndarray  # (p,) ticks of the pictures; none where they were not asked for
+    pictures: np.ndarray  # (p, 112, 112, 3) uint8, what the camera saw
+    events: list[tuple[float, str]]  # (s, what happened)
+
 
 _ARRAYS = tuple(f.name for f in dataclasses.fields(Record) if f.name != "events")
 
 
-def digest(record: Record) -> str:
-    """SHA-256 (hexadecimal) over every number of `record`: equal for two runs that agree bit by bit, and hardly for others."""
+def record_hash(record: Record) -> str:
+    """SHA-256 (hexadecimal) over every number of the run but its pictures: equal for two runs that agree bit by bit."""
     total = hashlib.sha256()
     for name in _ARRAYS:
-        array = np.ascontiguousarray(getattr(record, name))
-        total.update(f"{name} {array.dtype} {array.shape}".encode())
-        total.update(array.tobytes())
+        if "picture" not in name:
+            array = np.ascontiguousarray(getattr(record, name))
+            total.update(f"{name} {array.dtype} {array.shape}".encode())
+            total.update(array.tobytes())
     return total.hexdigest()
+
+
+def stretches(record: Record) -> tuple[slice, slice]:
+    """Ticks before the onset (all without one), and from the onset to the end of the disturbance + 5 ticks (none without)."""
+    active = record.active > 0.5
+    onset = int(np.argmax(active)) if active.any() else len(active)
+    return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)
 
 
 def save_record(path: Path, record: Record, outcome: Outcome) -> None:
@@ -42,7 +77,7 @@ def save_record(path: Path, record: Record, outcome: Outcome) -> None:
 def load_record(path: Path) -> tuple[Record, dict]:
     """The record in `path` and its outcome as a dictionary (see Outcome); raises InputError for a file that holds none."""
     if not path.is_file():
-        raise InputError(f"there is no record {path}: write one with `pick_place.py --log FILE.npz`")
+        raise InputError(f"there is no record {path}: {_REMEDY}")
     try:
         with np.load(path, allow_pickle=False) as file:
             text = json.loads(str(file["text"]))
@@ -59,7 +94,7 @@ def load_record(path: Path) -> tuple[Record, dict]:
         zipfile.BadZipFile,
     ) as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"{path} holds no record ({reason}): write one with `pick_place.py --log FILE.npz`") from error
+        raise InputError(f"{path} holds no record ({reason}): {_REMEDY}") from error
 
 
 def find_records(paths: list[Path]) -> list[Path]:
@@ -68,6 +103,6 @@ def find_records(paths: list[Path]) -> list[Path]:
     for path in paths:
         inside = sorted(path.glob("*.npz")) if path.is_dir() else [path]
         if not inside:
-            raise InputError(f"there is no record (.npz) in the folder {path}: write one with `pick_place.py --log`")
+            raise InputError(f"there is no record (.npz) in the folder {path}: {_REMEDY}")
         found += inside
     return found

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from diagrams.episodes.calibration import Controller
-from diagrams.episodes.episode import DisturbanceDraw, Episode, Outcome
+from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.pool import Worker
-from diagrams.episodes.record import digest
-from diagrams.episodes.rollout import Record
+from diagrams.episodes.record import Record, record_hash
 from diagrams.hybrid.perturbations import Push, judge
-from diagrams.world.scenario import Experimenter, Scenario, World
-from diagrams.world.station import ARM_JOINTS
+from diagrams.world.configuration import World
+from diagrams.world.disturbance import Disturbance
+from diagrams.world.names import ARM_JOINTS
+from diagrams.world.scenario import Scenario
 from models.errors import InputError
 
 SAMPLERS = ("tpe", "cmaes", "random")
@@ -31,17 +32,17 @@ class Trial:
     """What came of one simulated push."""
 
     push: Push
-    disturbance: DisturbanceDraw
+    disturbance: Disturbance
     failure: str | None  # one of DEFEATS, or None
     switch_failure: str | None
     task_done: bool
     objective: float
     detection_delay_s: float | None
     moved_deg: float  # norm of the move from the command at the onset, as it came
-    digest: str  # of the record
+    record_hash: str  # of the record
 
     @classmethod
-    def of(cls, push: Push, disturbance: DisturbanceDraw, outcome: Outcome, record: Record, gamma: float) -> Trial:
+    def of(cls, push: Push, disturbance: Disturbance, outcome: Outcome, record: Record, gamma: float) -> Trial:
         """`gamma`: the threshold of the record's errors."""
         failure, objective = judge(push, outcome, record, float(record.time[1] - record.time[0]), gamma)
         moved = 0.0
@@ -51,7 +52,7 @@ class Trial:
             moved = float(np.rad2deg(np.linalg.norm(np.array(disturbance.target_joints) - before)))
         return cls(
             push, disturbance, failure, outcome.switch_failure, bool(outcome.success), objective, outcome.detection_delay_s,
-            moved, digest(record),
+            moved, record_hash(record),
         )  # fmt: skip
 
 
@@ -87,7 +88,7 @@ def _trial(entry: dict[str, Any]) -> Trial:
     def tuples(fields: dict[str, Any]) -> dict[str, Any]:
         return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
 
-    push, disturbance = Push(**tuples(entry["push"])), DisturbanceDraw(**tuples(entry["disturbance"]))
+    push, disturbance = Push(**tuples(entry["push"])), Disturbance(**tuples(entry["disturbance"]))
     return Trial(**{**entry, "push": push, "disturbance": disturbance})
 
 
@@ -138,8 +139,8 @@ def make_sampler(name: str, seed: int):
 def search(
     sampler,
     scenes: int,
-    build: Callable[[Push], DisturbanceDraw | None],
-    run: Callable[[int, Push, DisturbanceDraw], Trial],
+    build: Callable[[Push], Disturbance | None],
+    run: Callable[[int, Push, Disturbance], Trial],
     trials: int,
 ) -> list[Trial]:
     """`trials` simulated pushes in so many scenes, in order, proposed by an Optuna `sampler`; fewer only where it hardly proposes any disturbance.
@@ -167,8 +168,8 @@ def search(
 
 def search_all(
     scenes: int,
-    build: Callable[[Push], DisturbanceDraw | None],
-    run: Callable[[Push, DisturbanceDraw], Trial],
+    build: Callable[[Push], Disturbance | None],
+    run: Callable[[Push, Disturbance], Trial],
     trials: int,
     seed: int,
     log: TrialLog,
@@ -186,12 +187,12 @@ def search_all(
     lock = threading.Lock()
     with tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None) as bar:
 
-        def guarded_build(push: Push) -> DisturbanceDraw | None:
+        def guarded_build(push: Push) -> Disturbance | None:
             with lock:
                 return build(push)
 
         def one(name: str) -> None:
-            def known_or_run(number: int, push: Push, disturbance: DisturbanceDraw) -> Trial:
+            def known_or_run(number: int, push: Push, disturbance: Disturbance) -> Trial:
                 trial = log.get(name, number, push)
                 new = run(push, disturbance) if trial is None else trial
                 with lock:
@@ -218,7 +219,7 @@ def search_all(
     return {name: found[name] for name in samplers}
 
 
-def scenario_of(world: World, scene: Episode, disturbance: DisturbanceDraw) -> Scenario:
+def scenario_of(world: World, scene: Episode, disturbance: Disturbance) -> Scenario:
     """The scenario that gives the scene with this disturbance in full."""
     moved = disturbance.can_moved_to
     return Scenario(
@@ -228,7 +229,7 @@ def scenario_of(world: World, scene: Episode, disturbance: DisturbanceDraw) -> S
         seed=scene.seed,
         can=[float(v) for v in scene.can_xy],
         vacant=scene.vacant,
-        experimenter=Experimenter(
+        experimenter=Disturbance(
             level=disturbance.level,
             subtask=disturbance.subtask,
             target=None if disturbance.target_joints is None else list(disturbance.target_joints),

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context
 
-from diagrams.episodes.episode import FALSE_ALARM as GUARD
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.rollout import Rollout
+from diagrams.episodes.switching import GUARD as GUARD
 from diagrams.world.collisions import CollisionChecker
-from diagrams.world.station import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
 from models.errors import InputError
 
 BISECTIONS = 20
@@ -67,7 +67,9 @@ class GuardProbe:
         """Whether the arm, displaced by `displacement` (7, rad), is within its limits and touches nothing."""
         joints = self.joints + displacement
         return bool(
-            np.all(joints >= self._lower) and np.all(joints <= self._upper) and self._clearance.touched(joints) is None
+            np.all(joints >= self._lower)
+            and np.all(joints <= self._upper)
+            and self._clearance.first_touch(joints) is None
         )
 
     def __call__(self, displacement: np.ndarray) -> tuple[float, float]:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from diagrams.episodes.episode import FALSE_ALARM as GUARD
-from diagrams.episodes.rollout import Record
-from diagrams.world.station import ARM_JOINTS
+from diagrams.episodes.record import Record
+from diagrams.episodes.switching import GUARD as GUARD
+from diagrams.world.names import ARM_JOINTS
 
 TASK, RETURN = "task", "return"
 SHORT = 0.3  # s: a stay up to that is listed by where it comes

@@ -15,13 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.episodes.episode import DETECTION_TICKS, FALSE_ALARM, RESUME_SECONDS, DisturbanceDraw, Episode, Outcome
-from diagrams.episodes.rollout import CAN_TAKEN_TICKS, Record
+from diagrams.episodes.episode import Episode, Outcome
+from diagrams.episodes.record import Record
 from diagrams.episodes.sampling import LIMIT_MARGIN, ONSET_LEVELS
+from diagrams.episodes.switching import DETECTION_TICKS, GUARD, RESUME_SECONDS
 from diagrams.world.collisions import CollisionChecker
+from diagrams.world.configuration import World
+from diagrams.world.disturbance import CAN_TAKEN_TICKS, Disturbance
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.scenario import World
-from diagrams.world.station import ARM_JOINTS
+from diagrams.world.names import ARM_JOINTS
 
 DEFEATS = ("not detected", "not returned", "not resumed")
 MAX_SIZE_DEG = 60.0  # norm over the joints
@@ -126,7 +128,7 @@ class PushBuilder:
         self._lower, self._upper = hand.lower + LIMIT_MARGIN, hand.upper - LIMIT_MARGIN
         self._clearance = CollisionChecker()
 
-    def disturbance(self, push: Push) -> DisturbanceDraw | None:
+    def disturbance(self, push: Push) -> Disturbance | None:
         """None where the moment does not come, or the arm would leave its limits or touch the scene on its way there or home."""
         start = self._nominal.command_at(push.subtask, push.level)
         if start is None:
@@ -136,16 +138,16 @@ class PushBuilder:
             return None
         self._clearance.set_scene(self._scene.can_xy if push.subtask == 1 else None, self._scene.vacant)
         for way in ((start, target), (target, self._home)):
-            if self._clearance.straight_way_touches(*way) is not None:
+            if self._clearance.path_touches(*way) is not None:
                 return None
         if push.form == "push":
             joints = tuple(float(q) for q in target)
-            return DisturbanceDraw("A", push.subtask, push.level, joints, push.hold_ticks)
+            return Disturbance("A", push.subtask, push.level, joints, push.hold_ticks)
         if push.form == "stop":
-            return DisturbanceDraw("B", push.subtask, push.level, None, push.hold_ticks)
+            return Disturbance("B", push.subtask, push.level, None, push.hold_ticks)
         corner, opposite = self._grid
         x, y = corner + np.asarray(push.place) * (opposite - corner)
-        return DisturbanceDraw("B", push.subtask, push.level, None, push.hold_ticks, (float(x), float(y)))
+        return Disturbance("B", push.subtask, push.level, None, push.hold_ticks, (float(x), float(y)))
 
 
 def judge(push: Push, outcome: Outcome, record: Record, period: float, gamma: float) -> tuple[str | None, float]:
@@ -164,7 +166,7 @@ def judge(push: Push, outcome: Outcome, record: Record, period: float, gamma: fl
         # How near the recall came to fitting again before the arm was at home.
         if outcome.returned and outcome.return_s is not None:
             home = active[-1] + 1 + round(outcome.return_s / period)
-            away = np.flatnonzero(record.alpha[: home + 1] >= FALSE_ALARM)
+            away = np.flatnonzero(record.alpha[: home + 1] >= GUARD)
             first = int(away[away >= active[0]][0])
             margins.append(_decades(worst[first : home + 1].min(), gamma))
     if outcome.detection_delay_s is not None:

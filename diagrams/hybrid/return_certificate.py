@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from diagrams.episodes.episode import HOME_TOLERANCE
-from diagrams.episodes.rollout import controller_limits
 from diagrams.hybrid.return_loop import Sample, Way, ways_home
 from diagrams.world.collisions import CollisionChecker
-from diagrams.world.scenario import SPOTS, World
-from diagrams.world.station import ARM_JOINTS, PickPlaceStation
+from diagrams.world.configuration import World
+from diagrams.world.names import ARM_JOINTS, SPOTS
+from diagrams.world.station import PickPlaceStation, controller_limits
+from diagrams.world.task import HOME_TOLERANCE
 from models.errors import InputError
 from systems.posture_regulator import lqr
 
@@ -103,7 +103,7 @@ def draw_samples(
                     continue
             sample = Sample(joints, rng.uniform(corner, opposite), str(rng.choice(SPOTS)))
             clearance.set_scene(sample.can_xy, sample.vacant)
-            if clearance.touched(joints) is not None:
+            if clearance.first_touch(joints) is not None:
                 impossible += 1
                 continue
             samples.append(sample)

@@ -16,11 +16,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from diagrams.episodes.episode import HOME_TOLERANCE
-from diagrams.episodes.rollout import controller_limits
 from diagrams.world.collisions import CollisionChecker
-from diagrams.world.scenario import World
-from diagrams.world.station import ARM_JOINTS, PickPlaceStation
+from diagrams.world.configuration import World
+from diagrams.world.names import ARM_JOINTS
+from diagrams.world.station import PickPlaceStation, controller_limits
+from diagrams.world.task import HOME_TOLERANCE
 from systems.alpha_mixer import AlphaMixer
 from systems.posture_history import PostureHistory
 from systems.posture_regulator import make_posture_regulator
@@ -132,7 +132,7 @@ class ReturnWorker:
     def way(self, sample: Sample) -> Way:
         """Runs the sample."""
         self.clearance.set_scene(sample.can_xy, sample.vacant)
-        touches = self.clearance.straight_way_touches(sample.joints, self.loop.world.initial_posture[:ARM_JOINTS])
+        touches = self.clearance.path_touches(sample.joints, self.loop.world.initial_posture[:ARM_JOINTS])
         rows, broke_off = self.loop.run(sample.joints, sample.can_xy, sample.vacant)
         return Way(rows, touches, broke_off)
 

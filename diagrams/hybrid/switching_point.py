@@ -24,10 +24,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from diagrams.episodes.rollout import COMPONENT_WEIGHTS, controller_limits
+from diagrams.episodes.calibration import COMPONENT_WEIGHTS
+from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.scenario import World
-from diagrams.world.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT
+from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.trajectory import SUBTASK_STEPS, commands, subtask_waypoints
 from models.errors import InputError
 from models.files.weights import StoredPolicy

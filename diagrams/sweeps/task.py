@@ -14,9 +14,10 @@ from distributed import Worker as DaskWorker
 from distributed import WorkerPlugin, get_worker
 
 from diagrams.episodes.calibration import Calibration, Controller, policy_name
-from diagrams.episodes.episode import Until
-from diagrams.episodes.pool import Job, Worker, stretches
-from diagrams.world.scenario import World
+from diagrams.episodes.pool import Job, Worker
+from diagrams.episodes.record import stretches
+from diagrams.episodes.switching import Until
+from diagrams.world.configuration import World
 
 ENCODER = "cae.safetensors"
 HASHES = ("weights_hash", "encoder_hash", "detector_hash")

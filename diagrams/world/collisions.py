@@ -7,11 +7,11 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.world.scenario import SPOTS
-from diagrams.world.station import CAN_HALF_HEIGHT, CANS, add_models
+from diagrams.world.names import CAN_HALF_HEIGHT, CANS, other_spot
+from diagrams.world.station import add_models, spot_centre
 
 MOVING = ("arm", "gripper")
-LEAST_SAMPLES = 24  # of a way
+LEAST_SAMPLES = 24  # of a path
 SPACING = np.deg2rad(1.0)  # of the joint that moves most, between two samples
 
 
@@ -41,16 +41,18 @@ class CollisionChecker:
 
     def set_scene(self, can_xy: np.ndarray | tuple[float, float] | None, vacant: str) -> None:
         """Where the cans stand; `can_xy` (2, m, world) or None: the can is in the hand."""
-        occupied = next(s for s in SPOTS if s != vacant)
-        spot = self._plant.GetFrameByName(f"{occupied}_spot").CalcPoseInWorld(self._plant_context).translation()
         self._held = can_xy is None
-        pose = RigidTransform(spot + [0, 0, CAN_HALF_HEIGHT])
+        pose = RigidTransform(self.spot(other_spot(vacant)))
         self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, self._can(CANS[1]), pose)
         if can_xy is not None:
             pose = RigidTransform([*can_xy, CAN_HALF_HEIGHT])
             self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, self._can(CANS[0]), pose)
 
-    def touched(self, joints: np.ndarray) -> str | None:
+    def spot(self, name: str) -> np.ndarray:
+        """See `spot_centre`."""
+        return spot_centre(self._plant, name)
+
+    def first_touch(self, joints: np.ndarray) -> str | None:
         """Name of a model that the arm at `joints` (7, rad) touches, with or without the can that it holds; None if clear."""
         self._plant.SetPositions(self._plant_context, self._arm, joints)
         moving: tuple[str, ...] = MOVING
@@ -68,10 +70,10 @@ class CollisionChecker:
                 return b if a in moving else a
         return None
 
-    def straight_way_touches(self, start: np.ndarray, goal: np.ndarray) -> str | None:
+    def path_touches(self, start: np.ndarray, goal: np.ndarray) -> str | None:
         """The first model touched on the straight joint motion from `start` to `goal` (7 each, rad), looked at every degree; None if clear."""
         samples = max(LEAST_SAMPLES, 1 + int(np.ceil(np.abs(goal - start).max() / SPACING)))
         for share in np.linspace(0.0, 1.0, samples):
-            if (name := self.touched((1 - share) * start + share * goal)) is not None:
+            if (name := self.first_touch((1 - share) * start + share * goal)) is not None:
                 return name
         return None

@@ -7,7 +7,8 @@ from pydrake.math import RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import Solve
 
-from diagrams.world.station import ARM_JOINTS, arm_plant
+from diagrams.world.names import ARM_JOINTS
+from diagrams.world.station import arm_plant
 from models.errors import InputError
 
 # The hand points down, leaning outwards by 5 deg: nearly vertical leaves 9 deg to every joint limit over the whole grid.
@@ -24,7 +25,7 @@ class HandKinematics:
         self.lower = self._plant.GetPositionLowerLimits()[:ARM_JOINTS]
         self.upper = self._plant.GetPositionUpperLimits()[:ARM_JOINTS]
 
-    def solve(self, position: np.ndarray) -> np.ndarray:
+    def solve_ik(self, position: np.ndarray) -> np.ndarray:
         """(7,) joint angles, rad, with the grasp frame at `position` (3, m, world), fingers level and opening across the arm's direction.
 
         Raises InputError where no posture within the joint limits reaches.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 
 import numpy as np
 from pydrake.geometry import (
@@ -29,12 +30,11 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
 from diagrams.world.approach_meter import ApproachMeter
-from diagrams.world.scenario import ROOT, SPOTS, World
+from diagrams.world.configuration import World
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS, FINGERS, other_spot
+from models.command_line import ROOT
 from models.errors import InputError
 
-ARM_JOINTS = 7
-CANS = ("can_to_pick", "can_on_shelf")
-CAN_HALF_HEIGHT = 0.05
 RENDERER = "vtk"
 FILM = (960, 720, 42.0)  # width, height (pixels) and vertical field of view (deg) of the camera for people
 
@@ -150,7 +150,7 @@ class PickPlaceStation(Diagram):
             actuator.set_controller_gains(PdControllerGains(p=servo.stiffness[j], d=servo.damping[j]))
         finger = self.plant.GetJointActuatorByName("left_finger_joint")
         finger.set_controller_gains(PdControllerGains(p=servo.finger_stiffness, d=servo.finger_damping))
-        left, right = (self.plant.GetJointByName(f"{side}_finger_joint") for side in SPOTS)
+        left, right = (self.plant.GetJointByName(f"{side}_finger_joint") for side in FINGERS)
         # Two effort-limited fingers would drift sideways with the can: the right one mirrors the left one.
         self.plant.AddCouplerConstraint(joint0=right, joint1=left, gear_ratio=1.0, offset=0.0)
 
@@ -158,7 +158,7 @@ class PickPlaceStation(Diagram):
         posture = self.world.initial_posture
         for j in range(ARM_JOINTS):
             self.plant.GetJointByName(f"joint_{j + 1}").set_default_angle(posture[j])
-        for side in SPOTS:
+        for side in FINGERS:
             self.plant.GetJointByName(f"{side}_finger_joint").set_default_translation(posture[-1] / 2)
         centre = np.mean(self.world.grid.bounds, axis=0)
         for can, xyz in zip(CANS, ([*centre, CAN_HALF_HEIGHT], [0.25, 0.43, 0.10]), strict=True):
@@ -225,13 +225,15 @@ class PickPlaceStation(Diagram):
             os.environ.setdefault("LP_NUM_THREADS", "0")
         params = RenderEngineVtkParams()
         params.default_clear_color = [0.78, 0.82, 0.86]
-        params.backend = "EGL"
+        # Without a display; elsewhere than on Linux the default needs none.
+        params.backend = "EGL" if sys.platform == "linux" else ""
         params.lights = [
             LightParameter(type="directional", direction=[-0.80, -0.25, -0.60], intensity=0.75, frame="world"),
             LightParameter(type="directional", direction=[-0.10, 0.60, -0.80], intensity=0.55, frame="world"),
         ]
         try:
-            _require_egl_device()
+            if params.backend == "EGL":
+                _require_egl_device()
             scene.AddRenderer(RENDERER, MakeRenderEngineVtk(params))
         except RuntimeError as error:
             raise InputError(
@@ -271,13 +273,10 @@ class PickPlaceStation(Diagram):
     def set_scene(self, context: Context, can_xy: np.ndarray, vacant: str, turn: float = 0.0) -> None:
         """Puts the cans in place: one at `can_xy` (2, m, world) on the desk, turned about its axis by `turn` (rad), the other on the spot
         that is not `vacant`."""
-        if vacant not in SPOTS:
-            raise InputError(f"there is no spot '{vacant}' on the shelf: choose one of {', '.join(SPOTS)}")
         plant_context = self.plant.GetMyMutableContextFromRoot(context)
         self.place_can(context, can_xy, turn)
-        occupied = next(spot for spot in SPOTS if spot != vacant)
         self.plant.SetFloatingBaseBodyPoseInWorldFrame(
-            plant_context, self._can(CANS[1]), RigidTransform(self.spot(occupied))
+            plant_context, self._can(CANS[1]), RigidTransform(self.spot(other_spot(vacant)))
         )
         self.approach_meter.set_place(self.approach_meter.GetMyMutableContextFromRoot(context), self.spot(vacant))
 
@@ -291,10 +290,24 @@ class PickPlaceStation(Diagram):
         self.plant.SetFreeBodySpatialVelocity(context=plant_context, body=body, V_JpJc=SpatialVelocity(np.zeros(6)))
 
     def spot(self, name: str) -> np.ndarray:
-        """(3,) centre of a can that stands on spot `name` of the shelf, m, world."""
-        frame = self.plant.GetFrameByName(f"{name}_spot")
-        X_WS = frame.CalcPoseInWorld(self.plant.CreateDefaultContext())
-        return X_WS.translation() + [0, 0, CAN_HALF_HEIGHT]
+        """See `spot_centre`."""
+        return spot_centre(self.plant, name)
 
     def _can(self, name: str):
         return self.plant.GetBodyByName("can", self.plant.GetModelInstanceByName(name))
+
+
+def spot_centre(plant: MultibodyPlant, name: str) -> np.ndarray:
+    """(3,) centre of a can that stands on spot `name` of the shelf in `plant`, m, world."""
+    X_WS = plant.GetFrameByName(f"{name}_spot").CalcPoseInWorld(plant.CreateDefaultContext())
+    return X_WS.translation() + [0, 0, CAN_HALF_HEIGHT]
+
+
+def controller_limits(station: PickPlaceStation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower and upper limits of the command (8,) and its largest speed (8,), from the model; rad and m, rad/s and m/s."""
+    joints = [station.plant.GetJointByName(f"joint_{j + 1}") for j in range(ARM_JOINTS)]
+    finger = station.plant.GetJointByName("left_finger_joint")
+    lower = [j.position_lower_limit() for j in joints] + [0.0]
+    upper = [j.position_upper_limit() for j in joints] + [2 * finger.position_upper_limit()]
+    speed = [j.velocity_upper_limit() for j in joints] + [2 * finger.velocity_upper_limit()]
+    return np.array(lower), np.array(upper), np.array(speed)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
+from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.scenario import World
-from diagrams.world.station import ARM_JOINTS
+from diagrams.world.names import ARM_JOINTS
 
 SUBTASK_STEPS = (161, 192)
 GRASP_ABOVE_CENTRE = 0.010  # of the can, m
@@ -36,7 +36,7 @@ def subtask_waypoints(world: World, hand: HandKinematics, centre: np.ndarray, su
     open_, closed = world.opening, world.closed_opening
 
     def at(height: float) -> np.ndarray:
-        return hand.solve(grasp + [0, 0, height])
+        return hand.solve_ik(grasp + [0, 0, height])
 
     if subtask == 1:
         return [
@@ -82,11 +82,16 @@ def commands(waypoints: list[Waypoint], steps: int) -> np.ndarray:
     return rows
 
 
+def subtask_commands(world: World, hand: HandKinematics, centre: np.ndarray, subtask: int) -> np.ndarray:
+    """(SUBTASK_STEPS[subtask - 1], 8) the commands of that subtask, see `commands` and `subtask_waypoints`."""
+    return commands(subtask_waypoints(world, hand, centre, subtask), SUBTASK_STEPS[subtask - 1])
+
+
 def deviations(waypoints: list[Waypoint], steps: int, rng: np.random.Generator) -> np.ndarray:
     """(steps, 8) what the arm is pushed off the commanded posture while it is taught (DART, Laskey et al. 2017), rad; fingers 0.
 
-    Smooth and bounded: free on the way, small while dwelling at home, none where the fingers are near a can. The actions recorded stay those
-    without it, so that the pictures off the path come with the way back to it.
+    Smooth and bounded: free on the path, small while dwelling at home, none where the fingers are near a can. The actions recorded stay those
+    without it, so that pictures off the path come with the motion back to it.
     """
     home = waypoints[0].joints
     hover = [w.tick for w in waypoints if not np.array_equal(w.joints, home)]

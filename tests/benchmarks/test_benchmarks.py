@@ -12,7 +12,7 @@ from pydrake.systems.analysis import Simulator
 
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.rollout import Rollout
-from diagrams.world.scenario import World
+from diagrams.world.configuration import World
 from diagrams.world.station import PickPlaceStation
 from models.files.weights import load_autoencoder
 from models.networks.cae import to_image

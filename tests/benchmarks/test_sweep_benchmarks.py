@@ -13,7 +13,7 @@ from diagrams.episodes.pool import Controller, Job, Worker
 from diagrams.sweep import SweepArguments, connect, execute, plan
 from diagrams.sweeps.store import EpisodeStore
 from diagrams.sweeps.task import ENCODER
-from diagrams.world.scenario import World
+from diagrams.world.configuration import World
 from tests.diagrams import sweep_fakes
 
 EPISODES = 8  # a round

@@ -7,9 +7,10 @@ LQR, the recall tells where the arm should have been, and under alpha = 1 the ne
 import numpy as np
 
 from diagrams.episodes.episode import Episode
+from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.scenario import SPOTS, World
-from diagrams.world.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS
+from diagrams.world.station import PickPlaceStation
 from diagrams.world.trajectory import SUBTASK_STEPS, commands, subtask_waypoints
 from models.data.scaling import MinMaxScaling
 

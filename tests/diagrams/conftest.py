@@ -4,9 +4,10 @@ import pytest
 
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.sampling import EpisodeSampler
+from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.scenario import World
-from diagrams.world.station import ARM_JOINTS, PickPlaceStation
+from diagrams.world.names import ARM_JOINTS
+from diagrams.world.station import PickPlaceStation
 from tests.diagrams.closed_loop_fakes import FakeEncoder, FakePolicy
 
 

@@ -22,7 +22,7 @@ from diagrams.episodes.calibration import (
 from diagrams.episodes.pool import Job, Worker
 from diagrams.episodes.sampling import SEED_BASE
 from diagrams.pick_place import parse
-from diagrams.world.scenario import World
+from diagrams.world.configuration import World
 from models.errors import InputError
 from models.files.baselines import StoredDetector, load_detector, save_detector
 from models.files.weights import WeightsError

@@ -13,7 +13,7 @@ from diagrams.episodes.calibration import OFF, Calibration, Controller
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.pool import Job, Result
 from diagrams.episodes.sampling import SEED_BASE
-from diagrams.world.scenario import World
+from diagrams.world.configuration import World
 from models.errors import InputError
 from models.files.weights import WeightsError, load_policy
 from tests.diagrams.untrained import save_untrained

@@ -16,7 +16,7 @@ from diagrams.episodes.pool import Job, Worker
 from diagrams.episodes.record import save_record
 from diagrams.episodes.sampling import SEED_BASE
 from diagrams.figures import FiguresArguments, Looks
-from diagrams.world.scenario import World
+from diagrams.world.configuration import World
 from models.errors import InputError
 from models.files.weights import WeightsError
 from models.networks.cae import ConvolutionalAutoencoder

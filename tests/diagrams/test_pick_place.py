@@ -8,8 +8,10 @@ import pytest
 
 from diagrams import pick_place
 from diagrams.pick_place import parse
-from diagrams.world.scenario import RNNS, ROOT, WEIGHTS
+from diagrams.world.names import WEIGHTS
+from models.command_line import ROOT
 from models.errors import InputError
+from models.networks import NETWORKS
 from tests.diagrams.untrained import save_untrained
 
 PROGRAM = ROOT / "diagrams" / "pick_place.py"
@@ -125,7 +127,7 @@ def test_every_option_of_the_issue_is_understood():
         "g.dot", "v.mp4", "r.html", "p.png", "o.json",
     ]  # fmt: skip
     assert (cli.meshcat, cli.realtime_rate) == (True, 1.0)
-    for rnn in RNNS:
+    for rnn in NETWORKS:
         assert parse(["--rnn", rnn]).rnn == rnn
 
 

@@ -22,7 +22,7 @@ from diagrams.sweep import SweepArguments, connect, execute
 from diagrams.sweeps import task as sweep_task
 from diagrams.sweeps.store import SCHEMA, TIMES, EpisodeStore
 from diagrams.sweeps.task import Task, error_row, run_in
-from diagrams.world.scenario import ROOT
+from models.command_line import ROOT
 from models.errors import InputError
 from models.files.weights import WeightsError
 from tests.diagrams import sweep_fakes

@@ -13,10 +13,11 @@ import pytest
 
 from diagrams import teach
 from diagrams.teach import TeachArguments, Teacher, lessons
+from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.scenario import ROOT, SPOTS, World
-from diagrams.world.station import CAN_HALF_HEIGHT
+from diagrams.world.names import CAN_HALF_HEIGHT, SPOTS
 from diagrams.world.trajectory import DWELL_DEVIATION, FREE_DEVIATION, SUBTASK_STEPS, deviations, subtask_waypoints
+from models.command_line import ROOT
 from models.data.demonstrations import read_demonstrations, read_header, subtask_ranges
 from models.errors import InputError
 

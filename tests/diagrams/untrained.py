@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diagrams.world.scenario import World
+from diagrams.world.configuration import World
 from models.data.scaling import MinMaxScaling
 from models.files.weights import StoredPolicy, file_hash, save_autoencoder, save_policy
 from models.networks.cae import ConvolutionalAutoencoder

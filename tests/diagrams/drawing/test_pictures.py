@@ -7,7 +7,7 @@ from pydrake.systems.primitives import Adder
 
 from diagrams.drawing.graph import save_graph
 from diagrams.drawing.timeline import save_timeline
-from diagrams.episodes.rollout import Record
+from diagrams.episodes.record import Record
 from models.errors import InputError
 
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagrams.episodes.episode import FAILURES, Outcome, Switching, TaskMonitor, tilt
+from diagrams.episodes.episode import FAILURES, Outcome
+from diagrams.episodes.switching import Switching
+from diagrams.world.task import TaskMonitor, tilt
 
 PERIOD = 0.1
 TICKS = 260

@@ -8,10 +8,12 @@ import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 
 from diagrams.episodes import rollout as rollout_module
-from diagrams.episodes.episode import DisturbanceDraw, Episode
-from diagrams.episodes.rollout import Record, Rollout
-from diagrams.world.scenario import World
-from diagrams.world.station import ARM_JOINTS
+from diagrams.episodes.episode import Episode
+from diagrams.episodes.record import Record
+from diagrams.episodes.rollout import Rollout
+from diagrams.world.configuration import World
+from diagrams.world.disturbance import Disturbance
+from diagrams.world.names import ARM_JOINTS
 
 CAN = (0.555, -0.041)
 
@@ -54,7 +56,7 @@ def moved_with_the_can(rollout, policy, encoder, draws):
 @pytest.fixture(scope="module")
 def robbed(rollout, policy, encoder):
     """Stopped on the way to the shelf; the can is taken and put elsewhere on the desk."""
-    draw = DisturbanceDraw("B", 2, 0.10, None, 20, (0.61, 0.05))
+    draw = Disturbance("B", 2, 0.10, None, 20, (0.61, 0.05))
     return Run(rollout, policy, encoder, Episode(8, (0.50, 0.02), "right", draw))
 
 
@@ -242,7 +244,7 @@ def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkey
 def test_no_disturbance_came(rollout, policy, encoder, monkeypatch):
     """The moment never comes within the time: said, and not a success of the switching."""
     monkeypatch.setattr(rollout_module, "TIME_LIMIT", 2.0)
-    run = Run(rollout, policy, encoder, Episode(0, CAN, "left", DisturbanceDraw("B", 1, 0.01, None, 20)))
+    run = Run(rollout, policy, encoder, Episode(0, CAN, "left", Disturbance("B", 1, 0.01, None, 20)))
     assert (run.outcome.success, run.outcome.switch_success) == (False, False)
     assert (run.outcome.switch_failure, run.outcome.returned) == ("not disturbed", False)
 

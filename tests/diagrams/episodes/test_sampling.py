@@ -5,8 +5,8 @@ import pytest
 
 from diagrams.episodes.sampling import LIMIT_MARGIN, ONSET_LEVELS, SEED_BASE, STOP_TICKS, EpisodeSampler, episode_seeds
 from diagrams.world.collisions import CollisionChecker
-from diagrams.world.scenario import SPOTS, Grid, World
-from diagrams.world.station import CAN_HALF_HEIGHT
+from diagrams.world.configuration import Grid, World
+from diagrams.world.names import CAN_HALF_HEIGHT, SPOTS
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, SUBTASK_STEPS, commands, subtask_waypoints
 from models.errors import InputError
 
@@ -93,15 +93,15 @@ def test_targets_are_off_the_way_and_within_limits(episodes, world, hand, statio
         assert len(moved) >= 3
         assert np.all((moved >= 15.0 - 1e-6) & (moved <= 40.0 + 1e-6))
         clearance.set_scene(episode.can_xy if draw.subtask == 1 else None, episode.vacant)
-        assert clearance.straight_way_touches(start, target) is None
-        assert clearance.straight_way_touches(target, home) is None
+        assert clearance.path_touches(start, target) is None
+        assert clearance.path_touches(target, home) is None
 
 
 def test_stopping_place_has_a_clear_way_home(episodes, world, hand, station):
     clearance, home = CollisionChecker(), world.initial_posture[:7]
     for episode in episodes["B"]:
         clearance.set_scene(episode.can_xy if episode.disturbance.subtask == 1 else None, episode.vacant)
-        assert clearance.straight_way_touches(posture_at_onset(world, hand, station, episode), home) is None
+        assert clearance.path_touches(posture_at_onset(world, hand, station, episode), home) is None
 
 
 @pytest.mark.parametrize("kind", ["none", "A", "B"])
@@ -153,12 +153,12 @@ def test_seeds_beyond_their_purpose_are_refused(seed, count, named):
 
 
 def test_a_scene_that_leaves_no_way_home_is_named(draws, monkeypatch):
-    monkeypatch.setattr(CollisionChecker, "straight_way_touches", lambda *_: "desk")
+    monkeypatch.setattr(CollisionChecker, "path_touches", lambda *_: "desk")
     with pytest.raises(InputError, match=r"no moment of subtask [12] with the can at .* clear way home: choose"):
         draws.draw(0, "B")
     draws.draw(0, "none")  # undisturbed, the arm has no way home to keep clear
     # Every way is clear, no posture at its end is.
-    monkeypatch.setattr(CollisionChecker, "straight_way_touches", lambda *_: None)
+    monkeypatch.setattr(CollisionChecker, "path_touches", lambda *_: None)
     monkeypatch.setattr(CollisionChecker, "touched", lambda *_: "shelf")
     with pytest.raises(InputError, match=r"no posture 15 to 40 deg off .* give experimenter\.target"):
         draws.draw(0, "A")
@@ -168,9 +168,9 @@ def test_long_ways_are_looked_at_every_degree(world, monkeypatch):
     clearance, home = CollisionChecker(), world.initial_posture[:7]
     seen = []
     monkeypatch.setattr(clearance, "touched", seen.append)
-    assert clearance.straight_way_touches(home, home + np.deg2rad([0, 0, 0, 0, 0, 89.5, -10.0])) is None
+    assert clearance.path_touches(home, home + np.deg2rad([0, 0, 0, 0, 0, 89.5, -10.0])) is None
     assert len(seen) == 91
     assert np.rad2deg(np.diff(seen, axis=0)[:, 5]) == pytest.approx(89.5 / 90)
     seen.clear()
-    clearance.straight_way_touches(home, home + np.deg2rad(5.0))
+    clearance.path_touches(home, home + np.deg2rad(5.0))
     assert len(seen) == 24

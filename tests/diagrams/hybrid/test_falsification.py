@@ -9,13 +9,16 @@ import pytest
 
 from diagrams import analysis, pick_place
 from diagrams.episodes import rollout as rollout_module
-from diagrams.episodes.episode import DisturbanceDraw, Episode
-from diagrams.episodes.record import digest, load_record
+from diagrams.episodes.episode import Episode
+from diagrams.episodes.record import load_record, record_hash
 from diagrams.episodes.sampling import ONSET_LEVELS
 from diagrams.hybrid import falsification, falsification_report
 from diagrams.hybrid.falsification import Trial, TrialLog
 from diagrams.hybrid.perturbations import FORMS, NominalRun, Push, PushBuilder, judge
-from diagrams.world.scenario import WEIGHTS, Experimenter, Scenario, World, load_scenario, save_scenario
+from diagrams.world.configuration import World
+from diagrams.world.disturbance import Disturbance
+from diagrams.world.names import WEIGHTS
+from diagrams.world.scenario import Scenario, load_scenario, save_scenario
 from models.errors import InputError
 from models.files.weights import load_policy, save_policy
 from tests.diagrams.test_calibrate import OUTCOME
@@ -106,7 +109,7 @@ def test_only_what_an_experimenter_could_do_is_a_disturbance(world):
     assert builder.disturbance(replace(PUSH, moment=0.75)) is None  # the moment does not come
     assert builder.disturbance(replace(PUSH, size_deg=60.0)) is None  # joint 4 has 22 deg to its limit
     stop = replace(PUSH, form="stop", size_deg=0.0)
-    assert builder.disturbance(stop) == DisturbanceDraw("B", 1, PUSH.level, None, 5)
+    assert builder.disturbance(stop) == Disturbance("B", 1, PUSH.level, None, 5)
 
 
 def test_the_can_is_put_on_the_grid(world, draws):
@@ -141,7 +144,7 @@ def fake_run(push, disturbance):
 
 
 def fake_build(push):
-    return None if push.moment > 0.9 else DisturbanceDraw("A", 1, 0.1, (0.0,) * 7, push.hold_ticks)
+    return None if push.moment > 0.9 else Disturbance("A", 1, 0.1, (0.0,) * 7, push.hold_ticks)
 
 
 def search_all(path, trials=25, run=fake_run, samplers=falsification.SAMPLERS, seed=3, **more):
@@ -225,7 +228,7 @@ def test_scenario_gives_the_same_bits_back(tmp_path, draws):
         scenario = load_scenario(tmp_path / "s.yaml")
         scenario.check()
         if kind == "none":
-            scenario.experimenter = Experimenter()
+            scenario.experimenter = Disturbance()
         assert draws.episode(scenario) == episode
 
 
@@ -249,7 +252,7 @@ def test_nothing_given_is_drawn(draws):
 )
 def test_what_is_no_disturbance_is_named(given, kind, named):
     with pytest.raises(InputError, match=named):
-        Scenario(disturbance=kind, experimenter=Experimenter(**given)).check()
+        Scenario(disturbance=kind, experimenter=Disturbance(**given)).check()
 
 
 @pytest.mark.parametrize(
@@ -264,7 +267,7 @@ def test_what_is_no_disturbance_is_named(given, kind, named):
     ],
 )
 def test_what_the_arm_cannot_do_is_no_episode(draws, given, kind, named):
-    scenario = Scenario(disturbance=kind, experimenter=Experimenter(level=0.1, **given))
+    scenario = Scenario(disturbance=kind, experimenter=Disturbance(level=0.1, **given))
     scenario.check()
     with pytest.raises(InputError, match=named):
         draws.episode(scenario)
@@ -274,7 +277,7 @@ def test_counterexample_replays_bit_by_bit(rollout, policy, world, draws, tmp_pa
     """A push in the closed loop with fakes; its file, run as pick_place.py does."""
     monkeypatch.setattr(rollout_module, "TIME_LIMIT", 12.0)
     target = tuple(float(q) for q in world.initial_posture[:7] + np.deg2rad([10.0, 0, 0, -10.0, 0, 0, 0]) / 3)
-    draw = DisturbanceDraw("A", 1, 0.18, target, 4)
+    draw = Disturbance("A", 1, 0.18, target, 4)
     policy.learn(SCENE)
     outcome, record = rollout.run(replace(SCENE, disturbance=draw))
     trial = Trial.of(replace(PUSH, hold_ticks=4), draw, outcome, record, policy.gamma)
@@ -284,10 +287,10 @@ def test_counterexample_replays_bit_by_bit(rollout, policy, world, draws, tmp_pa
     episode = draws.episode(load_scenario(tmp_path / "s.yaml"))
     policy.learn(episode)
     _, record = rollout.run(episode)
-    assert digest(record) == trial.digest
-    undisturbed = replace(SCENE, disturbance=DisturbanceDraw())
+    assert record_hash(record) == trial.digest
+    undisturbed = replace(SCENE, disturbance=Disturbance())
     policy.learn(undisturbed)
-    assert digest(rollout.run(undisturbed)[1]) != trial.digest
+    assert record_hash(rollout.run(undisturbed)[1]) != trial.digest
 
 
 def test_a_blind_controller_is_defeated_and_the_program_replays_it(tmp_path, monkeypatch):
@@ -320,5 +323,5 @@ def test_a_blind_controller_is_defeated_and_the_program_replays_it(tmp_path, mon
     ]
     monkeypatch.chdir(tmp_path)
     assert pick_place.main(pick_place.parse(asked)) == 1
-    assert digest(load_record(log)[0]) == case["digest"]
+    assert record_hash(load_record(log)[0]) == case["record_hash"]
     assert json.loads(summary.read_text())["switch_success"] is False

@@ -9,10 +9,9 @@ from diagrams.episodes import pool as workers
 from diagrams.episodes import rollout as rollout_module
 from diagrams.episodes.calibration import Controller
 from diagrams.episodes.pool import Job
-from diagrams.episodes.record import digest, find_records, load_record, save_record
-from diagrams.episodes.rollout import Record
+from diagrams.episodes.record import Record, find_records, load_record, record_hash, save_record
 from diagrams.hybrid.modes import mode_sequence, most_within, report, save_automaton, short_stays
-from diagrams.world.scenario import World
+from diagrams.world.configuration import World
 from models.errors import InputError
 from systems.loop_closer import LoopCloser
 from tests.diagrams.untrained import save_untrained
@@ -140,7 +139,7 @@ def test_record_survives_the_disk(tmp_path):
     before = record([0, 1, 0])
     save_record(tmp_path / "new" / "run.npz", before, FakeOutcome())
     after, outcome = load_record(tmp_path / "new" / "run.npz")
-    assert digest(after) == digest(before)
+    assert record_hash(after) == record_hash(before)
     assert after.events == before.events
     assert outcome == FakeOutcome().to_dict()
     assert find_records([tmp_path / "new", tmp_path / "x.npz"]) == [tmp_path / "new" / "run.npz", tmp_path / "x.npz"]
@@ -159,7 +158,7 @@ def test_a_worker_leaves_the_record(tmp_path, monkeypatch):
 def test_digest_sees_one_bit():
     one, other = record([0, 1, 0]), record([0, 1, 0])
     other.posture[1, 3] = np.nextafter(other.posture[1, 3], 9)
-    assert digest(one) != digest(other)
+    assert record_hash(one) != record_hash(other)
 
 
 def test_what_is_no_record_is_named(tmp_path):

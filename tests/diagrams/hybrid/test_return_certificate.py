@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagrams.episodes.rollout import controller_limits
 from diagrams.hybrid import return_certificate, return_loop
 from diagrams.hybrid.return_certificate import (
     SAFETY_FACTOR,
@@ -17,6 +16,7 @@ from diagrams.hybrid.return_certificate import (
     servo_level,
 )
 from diagrams.hybrid.return_loop import ReturnLoop, Sample, Way, ways_home
+from diagrams.world.station import controller_limits
 from models.errors import InputError
 
 PNG = b"\x89PNG\r\n\x1a\n"

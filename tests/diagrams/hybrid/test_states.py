@@ -13,7 +13,7 @@ from diagrams.analysis import ITEMS, main, parse
 from diagrams.drawing.graph import readable
 from diagrams.episodes import rollout as rollout_module
 from diagrams.hybrid.states import State, inventory, report, table
-from diagrams.world.scenario import ROOT
+from models.command_line import ROOT
 from models.errors import InputError
 from tests.diagrams.untrained import save_untrained
 

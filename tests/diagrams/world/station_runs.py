@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
-from diagrams.world.station import CAN_HALF_HEIGHT, CANS
+from diagrams.world.names import CAN_HALF_HEIGHT, CANS
 from diagrams.world.trajectory import SUBTASK_STEPS, commands, subtask_waypoints
 
 

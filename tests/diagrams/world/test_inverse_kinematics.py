@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from diagrams.episodes.rollout import controller_limits
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.inverse_kinematics import TILT_DEG
-from diagrams.world.scenario import SPOTS
-from diagrams.world.station import CAN_HALF_HEIGHT, arm_plant
+from diagrams.world.names import CAN_HALF_HEIGHT, SPOTS
+from diagrams.world.station import arm_plant, controller_limits
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, SUBTASK_STEPS, commands, subtask_waypoints
 from models.errors import InputError
 
@@ -33,7 +32,7 @@ def taught(world, station, hand):
 @pytest.mark.parametrize("position", [[0.44, -0.09, 0.06], [0.62, 0.09, 0.2], [0.25, 0.43, 0.15]])
 def test_solution_puts_the_hand_there(hand, position):
     position = np.array(position)
-    joints = hand.solve(position)
+    joints = hand.solve_ik(position)
     assert hand.grasp_position(joints) == pytest.approx(position, abs=1e-5)
     plant = arm_plant()
     context = plant.CreateDefaultContext()
@@ -47,7 +46,7 @@ def test_solution_puts_the_hand_there(hand, position):
 @pytest.mark.parametrize("position", [[1.5, 0.0, 0.1], [0.05, 0.0, 0.05], [0.5, 0.0, 1.5]])
 def test_out_of_reach_is_an_error_that_names_the_place(hand, position):
     with pytest.raises(InputError, match=rf"cannot reach \[{position[0]}, "):
-        hand.solve(np.array(position))
+        hand.solve_ik(np.array(position))
 
 
 def test_margin_is_the_distance_to_the_nearest_limit(hand):
@@ -108,39 +107,39 @@ def clearance():
 def test_home_is_clear(clearance, world):
     for can in ((0.53, 0.0), None):
         clearance.set_scene(can, "left")
-        assert clearance.touched(world.initial_posture[:7]) is None
+        assert clearance.first_touch(world.initial_posture[:7]) is None
 
 
 def test_hand_in_the_desk_touches_it(clearance, hand):
     clearance.set_scene((0.60, -0.08), "left")
-    assert clearance.touched(hand.solve(np.array([0.5, 0.05, 0.005]))) == "desk"
-    assert clearance.touched(hand.solve(np.array([0.5, 0.05, 0.12]))) is None
+    assert clearance.first_touch(hand.solve_ik(np.array([0.5, 0.05, 0.005]))) == "desk"
+    assert clearance.first_touch(hand.solve_ik(np.array([0.5, 0.05, 0.12]))) is None
 
 
 def test_hand_at_a_can_touches_it(clearance, hand):
     clearance.set_scene((0.5, 0.0), "left")
-    assert clearance.touched(hand.solve(np.array([0.5, 0.03, 0.07]))) == "can_to_pick"
+    assert clearance.first_touch(hand.solve_ik(np.array([0.5, 0.03, 0.07]))) == "can_to_pick"
     clearance.set_scene((0.6, 0.0), "left")
-    assert clearance.touched(hand.solve(np.array([0.5, 0.03, 0.07]))) is None
+    assert clearance.first_touch(hand.solve_ik(np.array([0.5, 0.03, 0.07]))) is None
 
 
 def test_held_can_counts_as_the_hand(clearance, hand, station):
-    above = hand.solve(station.spot("left") + [0, 0, 0.06])
-    low = hand.solve(station.spot("left") + [0, 0, 0.01 - 0.015])
+    above = hand.solve_ik(station.spot("left") + [0, 0, 0.06])
+    low = hand.solve_ik(station.spot("left") + [0, 0, 0.01 - 0.015])
     clearance.set_scene(None, "left")
-    assert clearance.touched(above) is None
-    assert clearance.touched(low) == "shelf"
+    assert clearance.first_touch(above) is None
+    assert clearance.first_touch(low) == "shelf"
     clearance.set_scene(None, "right")  # the other can stands there
-    assert clearance.touched(low) in ("shelf", "can_on_shelf")
-    assert clearance.touched(above) == "can_on_shelf"
+    assert clearance.first_touch(low) in ("shelf", "can_on_shelf")
+    assert clearance.first_touch(above) == "can_on_shelf"
 
 
 def test_way_through_something_is_seen(clearance, hand, world):
     home = world.initial_posture[:7]
     clearance.set_scene((0.5, 0.0), "left")
-    touches = clearance.straight_way_touches
-    assert touches(home, hand.solve(np.array([0.6, -0.05, 0.25]))) is None
-    beyond = hand.solve(np.array([0.5, -0.09, 0.06])), hand.solve(np.array([0.5, 0.09, 0.06]))
-    assert clearance.touched(beyond[0]) is None
-    assert clearance.touched(beyond[1]) is None
+    touches = clearance.path_touches
+    assert touches(home, hand.solve_ik(np.array([0.6, -0.05, 0.25]))) is None
+    beyond = hand.solve_ik(np.array([0.5, -0.09, 0.06])), hand.solve_ik(np.array([0.5, 0.09, 0.06]))
+    assert clearance.first_touch(beyond[0]) is None
+    assert clearance.first_touch(beyond[1]) is None
     assert touches(*beyond) == "can_to_pick"

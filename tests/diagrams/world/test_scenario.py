@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from diagrams.world.scenario import Grid, Scenario, World, load_scenario
+from diagrams.world.configuration import Grid, World
+from diagrams.world.scenario import Scenario, load_scenario
 from models.errors import InputError
 
 

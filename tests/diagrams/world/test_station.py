@@ -13,10 +13,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from diagrams.episodes.rollout import controller_limits
 from diagrams.world import station as station_module
-from diagrams.world.scenario import ROOT, SPOTS, Camera, World
-from diagrams.world.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation, arm_plant
+from diagrams.world.configuration import Camera, World
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS
+from diagrams.world.station import PickPlaceStation, arm_plant, controller_limits
+from models.command_line import ROOT
 from models.errors import InputError
 from systems.posture_history import PostureHistory
 from tests.diagrams.world.station_runs import hand_to_can, picture, play, posture, red_pixels, start, taught

@@ -1,0 +1,38 @@
+"""Is the world that is run the one that the network was trained in?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from diagrams.world.configuration import World
+from models.errors import InputError
+
+# What a weight file without an entry `world` was trained in: the shipped ones are older than that entry.
+TRAINED_IN = {"period": 0.1, "camera": [112, 112, 43.0], "closed_opening": 0.03}
+
+
+def facts(world: World) -> dict[str, Any]:
+    """What a network takes for granted: period (s), camera (pixels, pixels, deg), opening of the closed fingers (m)."""
+    camera = world.camera
+    return {
+        "period": world.timing.period,
+        "camera": [camera.width, camera.height, camera.field_of_view_deg],
+        "closed_opening": world.closed_opening,
+    }
+
+
+def require_trained_for(world: World, policy) -> None:
+    """Raises InputError where `policy` (see models/inference.py) was trained in another world; names both values."""
+    trained = TRAINED_IN | getattr(policy, "metadata", {}).get("world", {})
+    trained |= {"initial posture": np.asarray(policy.initial_posture), "components": policy.posture_size}
+    initial = world.initial_posture
+    have = facts(world) | {"initial posture": initial, "components": len(initial)}
+    for name in ("components", "initial posture", "period", "camera", "closed_opening"):
+        if not np.allclose(have[name], trained[name], rtol=0.0, atol=1e-9):
+            words = [np.array2string(np.asarray(value), precision=6) for value in (have[name], trained[name])]
+            raise InputError(
+                f"the world's {name.replace('_', ' ')} is {words[0]}, the network was trained with {words[1]}: "
+                "change the world, or train a network in it"
+            )

@@ -1,0 +1,31 @@
+"""What decides the rows of a run that is resumed: world, code and definitions. Rows of another fingerprint are not mixed."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+from typing import Any
+
+from diagrams.world.configuration import World
+from models.command_line import ROOT
+
+# What an episode's outcome depends on: the definitions of success among it.
+ROOMS = ("sdf", "models/networks", "models/data", "models/files", "systems", "diagrams/world", "diagrams/episodes")
+
+
+@functools.cache
+def code_hash(*rooms: str) -> str:
+    """SHA-256 (16 hexadecimal digits) of the sources in ROOMS and in further `rooms`, folders of the repository."""
+    total = hashlib.sha256((ROOT / "models" / "inference.py").read_bytes())
+    for room in (*ROOMS, *rooms):
+        for path in sorted((ROOT / room).rglob("*")):
+            if path.suffix in (".py", ".sdf", ".yaml", ".xml"):
+                total.update(f"{path.relative_to(ROOT)}\0".encode() + path.read_bytes())
+    return total.hexdigest()[:16]
+
+
+def fingerprint(world: World, *rooms: str, **more: Any) -> dict[str, Any]:
+    """Plain types: the world's entries by name, the code with further `rooms`, and what else decides the rows."""
+    entries = {f"world.{name}": value for name, value in dataclasses.asdict(world).items()}
+    return {"code": code_hash(*rooms)} | entries | more

@@ -1,0 +1,88 @@
+"""The one store for what is resumed: rows appended to a file, a line of JSON each, on disk before they are counted."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from models.errors import InputError
+
+
+class RowStore:
+    """Rows by key in a file whose first line is the fingerprint of what they were made with; a context manager.
+
+    A kill in the middle of a line leaves a last line without its end: it is no row, and is cut off at the next start.
+    """
+
+    def __init__(self, path: Path, fingerprint: dict[str, Any]):
+        """Opens or begins the file; `rows` then holds what is there.
+
+        Raises InputError where it cannot be written, belongs to a running program, is damaged, or was made with another
+        `fingerprint` (plain types, see fingerprint.py).
+        """
+        self.path, self.rows = path, dict[str, Any]()
+        fingerprint = json.loads(json.dumps(fingerprint))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("a+b")
+        except OSError as error:
+            raise InputError(f"{path} cannot be written ({error.strerror}): choose another --out") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(
+                f"{path} is in use by another program: wait for its end, or choose another --out"
+            ) from error
+        self._file.seek(0)
+        lines = self._file.read().split(b"\n")
+        whole = sum(len(line) + 1 for line in lines[:-1])
+        for number, line in enumerate(lines[:-1], start=1):
+            try:
+                content = json.loads(line)
+                if number == 1:
+                    _require_same(path, content["fingerprint"], fingerprint)
+                else:
+                    self.rows[content["key"]] = content["row"]
+            except (ValueError, KeyError, TypeError) as error:
+                if isinstance(error, InputError):
+                    raise
+                raise InputError(
+                    f"{path} is damaged in line {number}: delete that line, or choose another --out"
+                ) from error
+        self._file.truncate(whole)
+        if len(lines) == 1:
+            self._write({"fingerprint": fingerprint})
+
+    def add(self, key: str, row: Any) -> None:
+        """Adds a row (plain types) under `key`, over an earlier one; it is on disk when this returns."""
+        self._write({"key": key, "row": row})
+        self.rows[key] = row
+
+    def __enter__(self) -> RowStore:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
+    def _write(self, content: dict[str, Any]) -> None:
+        # One line in one write; NaN and infinity, which a row may hold, are Python's own words.
+        self._file.write(json.dumps(content).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+def _require_same(path: Path, have: dict[str, Any], want: dict[str, Any]) -> None:
+    for name in want.keys() | have.keys():
+        if have.get(name) != want.get(name):
+            raise InputError(
+                f"{path} was made with another {name} ({_short(have.get(name))}, now {_short(want.get(name))}): "
+                "choose another --out, or go on as it was begun"
+            )
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 40 else text[:37] + "..."

@@ -1,0 +1,135 @@
+"""What can be configured of the robot and its world: defaults here, a scenario file or the command line over them.
+
+Units: m, rad, s, N m unless a field's comment says otherwise; positions in the world frame (origin on the desk below the
+arm's axis, x ahead of the arm, y to its left, z up).
+"""
+
+# No `from __future__ import annotations` here: Drake reads the types of the fields.
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diagrams.world.names import ARM_JOINTS
+from models.errors import InputError
+from systems.arguments import require_count, require_positive, require_vector
+
+
+@dataclass
+class Timing:
+    """Periods of the loop."""
+
+    period: float = 0.1  # control tick, s (ten frames a second, Sec. IV-A)
+    time_step: float = 0.01  # step of the discrete plant, s
+
+
+@dataclass
+class Servo:
+    """Joint servo: Drake's implicit PD, one gain a joint, clamped at the arm's effort limits."""
+
+    stiffness: list[float] = field(
+        default_factory=lambda: [2500.0, 2500.0, 1200.0, 1200.0, 350.0, 350.0, 120.0]
+    )  # N m / rad
+    damping: list[float] = field(default_factory=lambda: [100.0, 100.0, 45.0, 45.0, 12.0, 12.0, 4.0])  # N m s / rad
+    finger_stiffness: float = 2000.0  # N / m
+    finger_damping: float = 40.0  # N s / m
+
+
+@dataclass
+class Camera:
+    """The fixed camera; a larger picture is averaged down to the network's 112 x 112 pixels (OpenCV's area filter)."""
+
+    width: int = 112  # pixels
+    height: int = 112  # pixels
+    field_of_view_deg: float = 43.0  # vertical
+
+
+@dataclass
+class Grid:
+    """Positions of the can on the desk (Sec. IV-A: 100 positions at intervals of 2 cm)."""
+
+    corner: list[float] = field(default_factory=lambda: [0.44, -0.09])  # x, y of position (0, 0), m
+    spacing: float = 0.02  # m
+    count: int = 10  # a side
+
+    def position(self, i: int, j: int) -> np.ndarray:
+        """World x, y (m) of grid position (i, j)."""
+        return np.asarray(self.corner) + self.spacing * np.array([i, j])
+
+    def is_training(self, i: int, j: int) -> bool:
+        """The split of the paper, 50 positions each: the checkerboard leaves the smallest holes between trained positions."""
+        return (i + j) % 2 == 0
+
+    def training_positions(self) -> np.ndarray:
+        """(50, 2) world x, y of the trained positions, m."""
+        return np.array(
+            [self.position(i, j) for i in range(self.count) for j in range(self.count) if self.is_training(i, j)]
+        )
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner of the trained area, m."""
+        lower = np.asarray(self.corner)
+        return lower, lower + self.spacing * (self.count - 1)
+
+
+@dataclass
+class Regulator:
+    """Weights of the LQR on the posture integrator m[k+1] = m[k] + dm[k]; 1 and 90 give a gain of 0.1 a tick."""
+
+    state_weight: float = 1.0
+    input_weight: float = 90.0
+
+
+@dataclass
+class World:
+    """Everything about the robot and its desk that an episode does not draw."""
+
+    timing: Timing = field(default_factory=Timing)
+    servo: Servo = field(default_factory=Servo)
+    camera: Camera = field(default_factory=Camera)
+    grid: Grid = field(default_factory=Grid)
+    regulator: Regulator = field(default_factory=Regulator)
+    # The initial posture, to which the arm returns after each subtask and under the LQR: seven joint angles (deg).
+    initial_joints_deg: list[float] = field(default_factory=lambda: [28.0, 30.0, 0.0, 83.0, 0.0, 62.0, 0.0])
+    opening: float = 0.08  # gap of the open fingers, m
+    closed_opening: float = 0.03  # commanded gap of the closed fingers, m: they stall on the can
+
+    @property
+    def initial_posture(self) -> np.ndarray:
+        """(8,) joint angles (rad) and open fingers (m)."""
+        return np.append(np.deg2rad(self.initial_joints_deg), self.opening)
+
+    def check(self) -> None:
+        """Raises InputError for a value that makes no world."""
+        timing, servo, camera, grid = self.timing, self.servo, self.camera, self.grid
+        try:
+            require_positive("world.timing.time_step", timing.time_step)
+            require_positive("world.timing.period", timing.period)
+            require_vector("world.servo.stiffness", servo.stiffness, ARM_JOINTS, minimum=0.0)
+            require_vector("world.servo.damping", servo.damping, ARM_JOINTS, minimum=0.0)
+            require_positive("world.servo.finger_stiffness", servo.finger_stiffness)
+            require_positive("world.servo.finger_damping", servo.finger_damping)
+            require_count("world.camera.width", camera.width, 112)
+            require_count("world.camera.height", camera.height, 112)
+            require_vector("world.grid.corner", grid.corner, 2)
+            require_positive("world.grid.spacing", grid.spacing)
+            require_count("world.grid.count", grid.count, 2)
+            require_positive("world.regulator.state_weight", self.regulator.state_weight)
+            require_positive("world.regulator.input_weight", self.regulator.input_weight)
+            require_vector("world.initial_joints_deg", self.initial_joints_deg, ARM_JOINTS)
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        off = abs(math.remainder(timing.period, timing.time_step))
+        if timing.period < timing.time_step or off > 1e-6 * timing.time_step:
+            raise InputError(
+                f"world.timing.period {timing.period} s is no multiple of time_step {timing.time_step} s: change one of them"
+            )
+        if not 0.0 < camera.field_of_view_deg < 180.0:
+            raise InputError(
+                f"world.camera.field_of_view_deg {camera.field_of_view_deg} is no angle of view: choose more than 0, less than 180"
+            )
+        if not 0.0 <= self.closed_opening < self.opening < math.inf:
+            raise InputError(
+                f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: choose 0 <= closed_opening < opening"
+            )

@@ -1,0 +1,60 @@
+"""The one type for a disturbance: in a scenario file, as sampled, in an episode, and as it is searched for."""
+
+# No `from __future__ import annotations` here: Drake reads the types of the fields.
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagrams.world.names import ARM_JOINTS, DISTURBANCES
+from models.errors import InputError
+from systems.disturbance import DisturbanceParameters
+
+# The can leaves the hand with the fifth tick after the onset: by then the arm stands still.
+CAN_TAKEN_TICKS = 5
+
+
+@dataclass
+class Disturbance(DisturbanceParameters):
+    """What the experimenter does, once: with a `level` all of it is given, without one it is sampled from the seed.
+
+    `level` is in m: the distance of the hand to the can (subtask 1) or of the held can to its spot (subtask 2).
+    `target` is seven joint angles, rad.
+    """
+
+    subtask: int = 1
+    can_moved_to: list[float] | None = None  # B in subtask 2: X Y where the can is put meanwhile, m, world
+
+    def check(self) -> None:
+        """Raises InputError for what makes no disturbance; of a disturbance `none`, nothing else is read."""
+        if self.kind not in DISTURBANCES:
+            raise InputError(f"there is no disturbance '{self.kind}': choose one of {', '.join(DISTURBANCES)}")
+        if self.kind == "none":
+            return
+        if self.level is None:
+            if self != type(self)(kind=self.kind):
+                raise InputError("disturbance.level is missing, without which all of it is sampled: give it in metres")
+            return
+        if not 0 < self.level < float("inf"):
+            raise InputError(f"disturbance.level {self.level} is no distance: give a number greater than 0, in metres")
+        if self.subtask not in (1, 2):
+            raise InputError(f"there is no subtask {self.subtask} (disturbance.subtask): choose 1 or 2")
+        if self.hold_ticks < (1 if self.kind == "B" else 0):
+            raise InputError(f"disturbance.hold_ticks {self.hold_ticks} is too short: choose 1 or more (A: 0 or more)")
+        wanted = ARM_JOINTS if self.kind == "A" else 0
+        if len(self.target or []) != wanted or not np.all(np.isfinite(self.target or [])):
+            raise InputError(
+                f"disturbance.target {self.target} does not fit disturbance {self.kind}: give {wanted} joint angles in rad"
+            )
+        if self.can_moved_to is not None:
+            self._check_can()
+
+    def _check_can(self) -> None:
+        moved = self.can_moved_to
+        if moved is None or len(moved) != 2 or not np.all(np.isfinite(moved)):
+            raise InputError(f"disturbance.can_moved_to {moved} is not two numbers: give x and y in metres")
+        if self.kind != "B" or self.subtask != 2 or self.hold_ticks < CAN_TAKEN_TICKS:
+            raise InputError(
+                f"disturbance.can_moved_to {moved} moves nothing under {self.kind} in subtask {self.subtask} with "
+                f"hold_ticks {self.hold_ticks}: the can is taken from the hand under B in subtask 2, held for "
+                f"{CAN_TAKEN_TICKS} ticks or more; change these, or leave it out"
+            )

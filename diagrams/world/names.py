@@ -1,0 +1,20 @@
+"""Names and sizes that many rooms need, and nothing else: importing it costs nothing."""
+
+from models.command_line import ROOT
+from models.errors import InputError
+
+ARM_JOINTS = 7
+FINGERS = ("left", "right")  # of the gripper
+SPOTS = ("left", "right")  # on the shelf
+CANS = ("can_to_pick", "can_on_shelf")  # models of sdf/pick_place.dmd.yaml
+CAN_HALF_HEIGHT = 0.05  # m
+DISTURBANCES = ("none", "A", "B")  # Sec. IV-B of the paper
+WEIGHTS = ROOT / "models" / "weights"  # the trained networks that ship
+ENCODER = "cae.safetensors"  # file of the autoencoder in such a folder
+
+
+def other_spot(spot: str) -> str:
+    """The spot of SPOTS that is not `spot`; raises InputError for one that is not there."""
+    if spot not in SPOTS:
+        raise InputError(f"there is no spot '{spot}' on the shelf: choose one of {', '.join(SPOTS)}")
+    return SPOTS[1 - SPOTS.index(spot)]
