@@ -31,18 +31,12 @@ from diagrams.episodes.rollout import Record
 from diagrams.episodes.sampling import episode_seeds
 from diagrams.world.scenario import DISTURBANCES, WEIGHTS, World
 from diagrams.world.station import ARM_JOINTS
+from models.data.windows import WINDOW, decode_runs, encode_runs, leading_axes, posture_windows
 from models.errors import InputError
-from models.files.baselines import (
-    METHODS,
-    WINDOW,
-    StoredDetector,
-    leading_axes,
-    load_detector,
-    posture_windows,
-    save_detector,
-    stored_as,
-)
+from models.files.detectors import StoredDetector, load_detector, save_detector
 from models.files.weights import WeightsError
+
+METHODS = ("knn", "subspace")
 
 
 @dataclass
@@ -140,13 +134,14 @@ def main(arguments: BaselinesArguments) -> int:
     }
     new = [method for method in arguments.method if method not in stored]
     if new:
-        kept = [detector.runs for detector in stored.values() if detector.runs]
-        runs = kept[0] if kept else stored_as(_training_runs(arguments, policies))
+        kept = [detector.arrays for detector in stored.values() if "angles" in detector.arrays]
+        encoded = kept[0] if kept else encode_runs(_training_runs(arguments, policies))
+        runs = decode_runs(encoded)
         windows = posture_windows(runs)
         print(f"{windows.shape[1]} windows of {len(runs)} runs", flush=True)
         for method in new:
-            fitted: dict[str, Any] = {"axes": leading_axes(windows)} if method == "subspace" else {"runs": runs}
-            stored[method] = StoredDetector(method, metadata=dict(notes), **fitted)
+            fitted = {"axes": leading_axes(windows)} if method == "subspace" else encoded
+            stored[method] = StoredDetector(method, fitted, metadata=dict(notes))
             save_detector(_file(arguments, method), stored[method])  # what the trials run is what was stored
     for path, policy in policies.items():
         if all(policy.hash in detector.calibrations for detector in stored.values()):

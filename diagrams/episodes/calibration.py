@@ -56,7 +56,7 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
 
     Raises InputError for a policy without, WeightsError for a baseline's file that is missing, damaged, or without one for this policy.
     """
-    from models.files.baselines import calibration_of, load_detector
+    from models.files.detectors import calibration_of, load_detector
 
     if detector == "recall":
         if policy.reference_errors is None or policy.mean_errors is None or policy.beta is None or policy.gamma is None:
@@ -74,19 +74,19 @@ def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
 
     Raises WeightsError for a file that is missing, damaged, or without a calibration for the policy.
     """
-    from models.files.baselines import calibration_of, load_detector
+    from models.files.detectors import calibration_of, load_detector
 
     path = folder / f"{detector}.safetensors"
     found = load_detector(path, detector)
     digest = hashlib.sha256(json.dumps(calibration_of(path, found, policy_hash), sort_keys=True).encode())
-    for array in [*found.runs, *([] if found.axes is None else [found.axes])]:
+    for _, array in sorted(found.arrays.items()):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 
 
 def make_detector(detector: str, policy, folder: Path, calibration: Calibration | None = None) -> System:
     """The detector of that name for `policy`, with `calibration` instead of the one in the files; raises as stored_calibration does."""
-    from models.files.baselines import load_detector
+    from models.files.detectors import load_detector
 
     if detector not in DETECTORS:
         raise InputError(f"there is no detector '{detector}': choose one of {', '.join(DETECTORS)}")
@@ -98,16 +98,16 @@ def make_detector(detector: str, policy, folder: Path, calibration: Calibration 
 
 
 def make_window_detector(stored, policy, calibration: Calibration) -> System:
-    """The baseline `stored` (models/files/baselines.py) for `policy`; raises InputError where scikit-learn is not installed."""
-    from models.files.baselines import posture_windows
+    """The baseline `stored` (models/files/detectors.py) for `policy`; raises InputError where scikit-learn is not installed."""
+    from models.data.windows import decode_runs, posture_windows
     from systems.knn_detector import KnnDetector
     from systems.subspace_detector import SubspaceDetector
 
     arguments = _arguments(policy, calibration) | {"lower": policy.scaling.lower, "upper": policy.scaling.upper}
-    if stored.axes is not None:
-        return SubspaceDetector(axes=stored.axes, **arguments)
+    if stored.detector == "subspace":
+        return SubspaceDetector(axes=stored.arrays["axes"].astype(float), **arguments)
     try:
-        return KnnDetector(windows=posture_windows(stored.runs), **arguments)
+        return KnnDetector(windows=posture_windows(decode_runs(stored.arrays)), **arguments)
     except ModuleNotFoundError as error:
         raise InputError(f"the detector knn needs {error.name}: pip install -e '.[sweep]'") from error
 

@@ -23,8 +23,9 @@ from diagrams.episodes.pool import Job, Worker
 from diagrams.episodes.sampling import SEED_BASE
 from diagrams.pick_place import parse
 from diagrams.world.scenario import World
+from models.data.windows import encode_runs
 from models.errors import InputError
-from models.files.baselines import StoredDetector, load_detector, save_detector
+from models.files.detectors import StoredDetector, load_detector, save_detector
 from models.files.weights import WeightsError
 from models.inference import Policy
 from systems.detector import RecallDetector
@@ -156,7 +157,7 @@ def test_files_hold_what_was_chosen(folder, fitted):
         assert chosen.gamma == notes["trials"][int(np.argmax(successes))]["gamma"]
         assert (chosen.beta, len(chosen.reference_errors)) == (30.0, 7)
         assert min(notes["peaks"]["A"]) > max(notes["peaks"]["normal"])
-    assert sum(map(len, load_detector(folder / "knn.safetensors", "knn").runs)) == 5 * 60
+    assert load_detector(folder / "knn.safetensors", "knn").arrays["lengths"].sum() == 5 * 60
 
 
 def test_calibrations_of_other_networks_leave_the_hash_as_it_is(folder, fitted, tmp_path):
@@ -166,7 +167,9 @@ def test_calibrations_of_other_networks_leave_the_hash_as_it_is(folder, fitted, 
     alone = replace(stored, calibrations={policy.hash: stored.calibrations[policy.hash]})
     save_detector(tmp_path / "knn.safetensors", alone)
     assert learned_hash(tmp_path, "knn", policy.hash) == learned_hash(folder, "knn", policy.hash)
-    save_detector(tmp_path / "knn.safetensors", replace(alone, runs=[run + 0.01 for run in alone.runs]))
+    save_detector(
+        tmp_path / "knn.safetensors", replace(alone, arrays=alone.arrays | {"angles": alone.arrays["angles"] + 100})
+    )
     assert learned_hash(tmp_path, "knn", policy.hash) != learned_hash(folder, "knn", policy.hash)
 
 
@@ -213,7 +216,7 @@ def test_what_is_missing_is_said(folder, tmp_path, fitted, monkeypatch):
     policy = Policy(folder / "lstm.safetensors")
     with pytest.raises(WeightsError, match=r"knn.safetensors: the weight file does not exist"):
         make_detector("knn", policy, tmp_path)
-    save_detector(tmp_path / "knn.safetensors", StoredDetector("knn", runs=[np.zeros((20, 7))]))
+    save_detector(tmp_path / "knn.safetensors", StoredDetector("knn", encode_runs([np.zeros((20, 7))])))
     with pytest.raises(WeightsError, match="no calibration for the policy"):
         make_detector("knn", policy, tmp_path)
 
