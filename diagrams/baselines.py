@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from diagrams.episodes.calibration import Calibration, make_window_detector, never_fires
+from diagrams.episodes.calibration import Calibration, build_detector, never_fires
 from diagrams.episodes.episode import Outcome, Until
 from diagrams.episodes.pool import Job, run_jobs, stretches
 from diagrams.episodes.rollout import Record
@@ -152,7 +152,7 @@ def main(arguments: BaselinesArguments) -> int:
         for method, detector in stored.items():
             if policy.hash in detector.calibrations:
                 continue
-            anomaly = make_window_detector(detector, policy, never_fires(ARM_JOINTS)).anomaly
+            anomaly = build_detector(detector, policy).anomaly
             mean, gamma, peaks = calibrate(anomaly, traces, policy.initial_posture[:ARM_JOINTS])
             print(
                 f"{path.name}, {method}: normal errors peak at {np.median(peaks['normal']):.1f} times their mean (median), "

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from pydrake.systems.framework import System
 
-from diagrams.episodes.rollout import COMPONENT_WEIGHTS
-from diagrams.world.scenario import DETECTORS
+from diagrams.world.station import ARM_JOINTS
 from models.errors import InputError
-from systems.detector import RecallDetector
+from systems.detector import NEVER as OFF  # a gamma at which no detector fires
+from systems.detectors import DETECTORS
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,6 @@ class Calibration:
     reference_errors: tuple[float, ...]
     beta: float
     gamma: float
-
-
-OFF = 1e12  # a gamma at which no detector fires
 
 
 def never_fires(criteria: int) -> Calibration:
@@ -84,40 +81,29 @@ def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
     return digest.hexdigest()
 
 
-def make_detector(detector: str, policy, folder: Path, calibration: Calibration | None = None) -> System:
-    """The detector of that name for `policy`, with `calibration` instead of the one in the files; raises as stored_calibration does."""
-    from models.files.detectors import load_detector
+def make_detector(
+    detector: str, policy, folder: Path, calibration: Calibration | None = None
+) -> tuple[System, Calibration]:
+    """The detector of that name for `policy`, and its calibration: `calibration`, or the one in the files.
 
-    if detector not in DETECTORS:
-        raise InputError(f"there is no detector '{detector}': choose one of {', '.join(DETECTORS)}")
+    Raises as stored_calibration does, and InputError where scikit-learn is not installed.
+    """
+    from models.files.detectors import StoredDetector, load_detector
+
+    DETECTORS[detector]
     if calibration is None:
         calibration = stored_calibration(detector, policy, folder)
-    if detector == "recall":
-        return RecallDetector(**_arguments(policy, calibration), component_weights=COMPONENT_WEIGHTS)
-    return make_window_detector(load_detector(folder / f"{detector}.safetensors", detector), policy, calibration)
+    stored = (
+        StoredDetector("recall")
+        if detector == "recall"
+        else load_detector(folder / f"{detector}.safetensors", detector)
+    )
+    return build_detector(stored, policy), calibration
 
 
-def make_window_detector(stored, policy, calibration: Calibration) -> System:
-    """The baseline `stored` (models/files/detectors.py) for `policy`; raises InputError where scikit-learn is not installed."""
-    from models.data.windows import decode_runs, posture_windows
-    from systems.knn_detector import KnnDetector
-    from systems.subspace_detector import SubspaceDetector
-
-    arguments = _arguments(policy, calibration) | {"lower": policy.scaling.lower, "upper": policy.scaling.upper}
-    if stored.detector == "subspace":
-        return SubspaceDetector(axes=stored.arrays["axes"].astype(float), **arguments)
+def build_detector(stored, policy) -> System:
+    """The detector of `stored` (models/files/detectors.py) for `policy`; raises InputError where scikit-learn is not installed."""
     try:
-        return KnnDetector(windows=posture_windows(decode_runs(stored.arrays)), **arguments)
+        return DETECTORS[stored.detector].build(policy, ARM_JOINTS, stored.arrays)
     except ModuleNotFoundError as error:
-        raise InputError(f"the detector knn needs {error.name}: pip install -e '.[sweep]'") from error
-
-
-def _arguments(policy, calibration: Calibration) -> dict:
-    return {
-        "posture_size": policy.posture_size,
-        "horizon": policy.horizon,
-        "state_size": policy.state_size,
-        "reference_errors": np.array(calibration.reference_errors),
-        "beta": calibration.beta,
-        "gamma": calibration.gamma,
-    }
+        raise InputError(f"the detector {stored.detector} needs {error.name}: pip install -e '.[sweep]'") from error

@@ -76,7 +76,7 @@ class Worker:
             detector = make_detector(
                 controller.detector, policy, controller.policy.parent, calibration=controller.calibration
             )
-            self._rollouts[controller] = Rollout(self._world, self._encoder, policy, detector)
+            self._rollouts[controller] = Rollout(self._world, self._encoder, policy, *detector)
         return self._rollouts[controller]
 
     def run(self, job: Job, controller: Controller) -> tuple[Outcome, Record]:

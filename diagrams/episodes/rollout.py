@@ -11,6 +11,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from diagrams.episodes.calibration import Calibration, stored_calibration
 from diagrams.episodes.episode import (
     DETECTION_TICKS,
     FALSE_ALARM,
@@ -28,6 +29,7 @@ from diagrams.episodes.episode import (
 from diagrams.world.scenario import SPOTS, World
 from diagrams.world.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation
 from models.errors import InputError
+from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
 from systems.switched_controller import SwitchedController
 
@@ -69,11 +71,22 @@ def controller_limits(station: PickPlaceStation) -> tuple[np.ndarray, np.ndarray
 class Rollout:
     """Station, controller and disturbance, wired; see architecture in the README."""
 
-    def __init__(self, world: World, encoder, policy, detector=None, meshcat=None, video: Path | None = None):
-        """`encoder`, `policy`: see models/inference.py; `detector`: None for the recall of the policy; `meshcat`: to show the run in;
-        `video`: an .mp4 to write, finished by `self.video.Save()`. Raises InputError for networks, camera and regulator that do not
+    def __init__(
+        self,
+        world: World,
+        encoder,
+        policy,
+        detector=None,
+        calibration: Calibration | None = None,
+        meshcat=None,
+        video: Path | None = None,
+    ):
+        """`encoder`, `policy`: see models/inference.py; `detector`, `calibration`: those of the policy's recall where None; `meshcat`: to show
+        the run in; `video`: an .mp4 to write, finished by `self.video.Save()`. Raises InputError for networks, camera and regulator that do not
         fit together."""
         self.world, self.policy = world, policy
+        detector = detector or DETECTORS["recall"].build(policy, ARM_JOINTS, {})
+        self.calibration = calibration or stored_calibration("recall", policy, Path())
         builder = DiagramBuilder()
         self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None))
         lower, upper, speed = controller_limits(self.station)
@@ -81,10 +94,10 @@ class Rollout:
             self.controller = SwitchedController(
                 encoder,
                 policy,
+                detector,
+                joints=ARM_JOINTS,
                 regulator_Q=world.regulator.state_weight,
                 regulator_R=world.regulator.input_weight,
-                detector=detector,
-                component_weights=COMPONENT_WEIGHTS if detector is None else None,
                 joint_lower=lower,
                 joint_upper=upper,
                 speed_limits=speed,
@@ -124,6 +137,8 @@ class Rollout:
         world, station, draw = self.world, self.station, episode.disturbance
         self.simulator.reset_context(self.diagram.CreateDefaultContext())
         context = self.simulator.get_mutable_context()
+        calibration = self.calibration
+        self.controller.set_calibration(context, calibration.reference_errors, calibration.beta, calibration.gamma)
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
         meter = station.approach_meter
         meter.set_subtask(meter.GetMyMutableContextFromRoot(context), draw.subtask)
