@@ -39,7 +39,8 @@ def alpha_of(errors: np.ndarray, beta, gamma):
     """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eq. 6, of `errors` (E,); float or AutoDiffXd, no overflow for any of them."""
     x = beta * (errors - gamma)
     limit = np.full(x.shape, type(x[0])(EXPONENT))
-    return np.max(1.0 / (1.0 + np.exp(-np.minimum(np.maximum(x, -limit), limit))))
+    with np.errstate(over="ignore"):  # in the square of a denominator, of which AutoDiffXd takes the inverse: 0
+        return np.max(1.0 / (1.0 + np.exp(-np.minimum(np.maximum(x, -limit), limit))))
 
 
 def sizes_of(policy) -> dict[str, int]:
@@ -146,7 +147,7 @@ class CalibratedDetector:
             context.get_mutable_numeric_parameter(index).SetFromVector(value)
 
     def _write_errors(self, context, output):
-        output.SetFromVector(self.calc_errors(context, context.get_numeric_parameter(self._references).value()))
+        output.SetFromVector(self.calc_errors(context, context.get_numeric_parameter(self._references).CopyToVector()))
 
     def _write_alpha(self, context, output):
         beta, gamma = (context.get_numeric_parameter(i)[0] for i in (self._beta, self._gamma))

@@ -56,11 +56,10 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     from models.files.detectors import calibration_of, load_detector
 
     if detector == "recall":
-        if policy.reference_errors is None or policy.mean_errors is None or policy.beta is None or policy.gamma is None:
+        references, gamma = (policy.reference_errors, policy.gamma) if gamma is None else (policy.mean_errors, gamma)
+        if references is None or policy.beta is None or gamma is None:
             raise InputError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
-        if gamma is not None:
-            return Calibration(tuple(policy.mean_errors), policy.beta, gamma)
-        return Calibration(tuple(policy.reference_errors), policy.beta, policy.gamma)
+        return Calibration(tuple(references), policy.beta, gamma)
     path = folder / f"{detector}.safetensors"
     found = calibration_of(path, load_detector(path, detector), policy.hash)
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
