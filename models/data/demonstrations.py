@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -60,6 +61,10 @@ def _open(path: str | Path) -> h5py.File:
     try:
         return h5py.File(path, "r")
     except OSError as error:
+        if isinstance(error, BlockingIOError) or "already open" in str(error):
+            raise DatasetError(f"{path}: another program has it open for writing. Wait until that has ended") from error
+        if isinstance(error, PermissionError):
+            raise DatasetError(f"{path}: may not be read. Check its permissions") from error
         raise DatasetError(f"{path}: not a readable HDF5 file ({error}). Record it again") from error
 
 
@@ -103,6 +108,16 @@ def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demo
     if not found:
         raise DatasetError(f"{path}: holds no demonstration of split {split}")
     return found
+
+
+def content_of(demos: Sequence[Demonstration]) -> str:
+    """SHA-256 of demonstrations without their pictures: what is in the file, whatever its attributes say."""
+    digest = hashlib.sha256()
+    for demo in demos:
+        digest.update(f"{demo.name} {demo.split} {demo.vacant} {demo.subtask_starts}".encode())
+        for array in (demo.can_xy, demo.posture, demo.actions):
+            digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def iterate_frames(path: str | Path, names: Sequence[str], stop: int | None = None) -> Iterator[np.ndarray]:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from models.data.scaling import MinMaxScaling
+from models.errors import InputError
 from models.files.quantisation import SCALE, dequantise, is_large, quantise, rounded
 from models.files.tensors import RETRAIN, WeightsError, file_hash, read_tensors, write_tensors
 from models.networks.cae import ConvolutionalAutoencoder
@@ -110,7 +111,7 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
     }
     header = {
         "kind": "policy",
-        "rnn": policy.rnn.name,
+        "rnn": policy.rnn.spec,
         "posture_size": policy.rnn.posture_size,
         "feature_size": policy.rnn.feature_size,
         "encoder_hash": policy.encoder_hash,
@@ -149,6 +150,8 @@ def load_policy(path: str | Path) -> StoredPolicy:
             gamma=header["gamma"],
             metadata=header["metadata"],
         )
+    except InputError as error:
+        raise WeightsError(path, f"its network cannot be built ({error})", "Install what defines it") from error
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(path, f"its metadata does not describe a policy ({error})", RETRAIN) from error
     _fill(path, rnn, _part(tensors, "rnn."))
