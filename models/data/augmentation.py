@@ -15,8 +15,8 @@ class Augmentation:
     Args:
         joint_noise: std of the slow noise on the joints (Gaussian knots, linear between them).
         knot_ticks: ticks between knots.
-        finger_noise: std of slow noise on the finger. Its measured opening is its own last command: a network that copies it
-            lets it drift, and drops the can.
+        finger_noise: std of slow noise on the finger. Its measured opening is its own last command: a network that
+            copies it lets it drift, and drops the can.
         feature_noise: std of white noise on the features.
         feature_slow_noise: std of slow noise on the features.
         quiet_probability: share of sequences without noise on the joints, and of those without on the features.
@@ -26,9 +26,9 @@ class Augmentation:
         hold_probability: share of those stretches before which the inputs stand still, as when the arm is stopped.
         hold_ticks: longest such standstill.
         rest_ticks: longest rest, still on own predictions, after a stretch that goes to the end.
-        carry_ticks: a later sequence may start from the state of any of the last so many ticks of the subtask, or of the rest.
-            When a recovery ends, the recall fits as soon as it reaches back to the arrival at home only, long before the
-            imagined subtask is at rest.
+        carry_ticks: a later sequence may start from the state of any of the last so many ticks of the subtask, or of
+            the rest. When a recovery ends, the recall fits as soon as it reaches back to the arrival at home only, long
+            before the imagined subtask is at rest.
     """
 
     joint_noise: float = 0.08
@@ -83,7 +83,10 @@ def augment(
     options: Augmentation,
     generator: torch.Generator,
 ) -> AugmentedInputs:
-    """Disturbs sequences: clean (T, B, 8), feature (T, B, 30), length and subtask (B,); `joints`: components before the finger."""
+    """Disturbs clean (T, B, 8) and feature (T, B, 30) of sequences with length and subtask (B,).
+
+    `joints`: components of a posture before the finger.
+    """
     ticks, batch = clean.shape[:2]
     k, column = torch.arange(ticks)[:, None], torch.arange(batch)
 

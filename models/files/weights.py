@@ -41,7 +41,8 @@ class StoredPolicy:
         initial_posture: (8,).
         regulator_gain: K per tick, the same for each joint.
         encoder_hash: file hash of the autoencoder whose features it was trained on.
-        mean_errors: (N+1,) mean l_n of normal runs; reference_errors: (N+1,) what l_n is divided by; beta, gamma: of the detector's sigmoid.
+        mean_errors: (N+1,) mean l_n of normal runs; reference_errors: (N+1,) what l_n is divided by.
+        beta, gamma: of the detector's sigmoid.
         metadata: anything else, JSON-serialisable: training arguments, hash of the data set.
     """
 

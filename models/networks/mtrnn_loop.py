@@ -1,6 +1,7 @@
 """The MTRNN's training loop over ticks, with its backward pass written out.
 
-Its layers are so small that autograd over a dozen operations a tick costs more than their arithmetic: this takes a third of the time. Same numbers as MTRNN.step called in a loop: a test compares them.
+Its layers are so small that autograd over a dozen operations a tick costs more than their arithmetic: this loop takes
+a third of the time. Same numbers as MTRNN.step called in a loop: a test compares them.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ from torch import Tensor
 
 
 class MtrnnLoop(torch.autograd.Function):
-    """x (T, B, n), closed (T, B, 1), u (B, S), 1/tau (S,), and the MTRNN's parameters to y (T, B, m) and states (T, B, S).
+    """x (T, B, n), closed (T, B, 1), u (B, S), 1/tau (S,) and the MTRNN's parameters to y (T, B, m), states (T, B, S).
 
-    Both layers at once: u <- (1 - 1/tau) u + (1/tau)(W [x, tanh u] + b), with W = 0 from x to the slow layer, which comes
-    last. `to_fast` (F, n + S), `to_slow` (S - F, S), `output` (m, F). No gradients to x, u and 1/tau: they are data.
+    Both layers at once: u <- (1 - 1/tau) u + (1/tau)(W [x, tanh u] + b), with W = 0 from x to the slow layer, which
+    comes last. `to_fast` (F, n + S), `to_slow` (S - F, S), `output` (m, F). No gradients to x, u and
+    1/tau: they are data.
     """
 
     @staticmethod

@@ -17,7 +17,8 @@ from models.networks.mtrnn_loop import MtrnnLoop
 class RecurrentNetwork(nn.Module, ABC):
     """Predicts the next scaled posture and features from the present ones (Sec. II-B, II-C of the paper).
 
-    A subclass takes posture_size and feature_size and gives a `name` and `step`; no other file has to know it (models/registry.py).
+    A subclass takes posture_size and feature_size and gives a `name` and `step`; no other file has to know it: see
+    models/registry.py.
 
     Attributes:
         name: short, for file names and tables.
@@ -50,7 +51,7 @@ class RecurrentNetwork(nn.Module, ABC):
 
         Args:
             x: (T, B, 38) inputs.
-            closed: (T, B, 1) bool: the sequence's own clipped prediction takes the input's place; not at the first tick.
+            closed: (T, B, 1) bool: the own clipped prediction takes the input's place; not at the first tick.
             state: (B, S).
 
         Returns:
@@ -125,7 +126,8 @@ class MTRNN(RecurrentNetwork):
     """
 
     name = "mtrnn"
-    # A twentieth of the LSTM's weights: it spends them on the features unless the posture weighs more. At 1e-2 it diverges.
+    # It has a twentieth of the LSTM's weights and spends them on the features unless the posture weighs more.
+    # At a rate of 1e-2 it diverges.
     training_defaults: ClassVar[dict[str, Any]] = {"steps": 16_000, "posture_weight": 40.0, "learning_rate": 4e-3}
 
     def __init__(

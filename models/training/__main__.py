@@ -1,7 +1,8 @@
-"""`python -m models.training {cae,rnn,recall,probe} --data FILE.h5 ...`: the trainings in their order, and a look at the features."""
+"""`python -m models.training {cae,rnn,recall,probe}`: the trainings in their order, and a probe of the features."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from models.command_line import run
@@ -17,7 +18,7 @@ def parse(arguments: list[str] | None = None) -> Any:
     from models.training.recall import RecallOptions
     from models.training.rnn import RnnOptions
 
-    commands = {"cae": CaeOptions, "rnn": RnnOptions, "recall": RecallOptions, "probe": ProbeOptions}
+    commands: dict[str, Any] = {"cae": CaeOptions, "rnn": RnnOptions, "recall": RecallOptions, "probe": ProbeOptions}
     return tyro.extras.subcommand_cli_from_dict(commands, args=arguments, description=__doc__)
 
 
@@ -28,7 +29,12 @@ def main(options: Any) -> int:
     from models.training.recall import RecallOptions, train_recall
     from models.training.rnn import RnnOptions, train_rnn
 
-    does = {CaeOptions: train_cae, RnnOptions: train_rnn, RecallOptions: train_recall, ProbeOptions: run_probe}
+    does: dict[Any, Callable[[Any], Any]] = {
+        CaeOptions: train_cae,
+        RnnOptions: train_rnn,
+        RecallOptions: train_recall,
+        ProbeOptions: run_probe,
+    }
     try:
         does[type(options)](options)
     except BrokenPipeError:

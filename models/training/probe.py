@@ -14,7 +14,7 @@ from models.inference import Encoder
 
 @dataclass(kw_only=True)
 class ProbeOptions:
-    """Tells to how many millimetres the features localise the can, in the first ticks of the validation demonstrations.
+    """Tells to how many millimetres the features localise the can in the validation demonstrations' first ticks.
 
     A regression from the features to the can's position is fitted on the training demonstrations.
 
@@ -34,7 +34,7 @@ class ProbeOptions:
 
 
 def regress(f_train: np.ndarray, y_train: np.ndarray, f_test: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Kernel ridge regression with Gaussian kernels, their width and the penalty by cross-validation in at most 5 folds.
+    """Kernel ridge regression with Gaussian kernels, their width and penalty by cross-validation in 5 folds or fewer.
 
     Args:
         f_train: (n, 30), y_train: (n, d), f_test: (m, 30).

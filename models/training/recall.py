@@ -36,8 +36,8 @@ class RecallOptions(TrainingOptions):
         learning_rate: of Adam, decays to final_rate by a cosine.
         final_rate: see learning_rate.
         checkpoint_every: updates between checkpoints.
-        augmentation: of the inputs, as in the network's training, but with more and longer standstills before the loop is closed: to
-            recall the path that should have been taken is what gives a stopped arm away.
+        augmentation: of the inputs, as in the network's training, but with more and longer standstills before the loop
+            is closed: to recall the path that should have been taken is what gives a stopped arm away.
     """
 
     policy: tuple[Path, ...]

@@ -36,8 +36,8 @@ class RnnOptions(TrainingOptions):
         encoder: autoencoder file; the data set is encoded once.
         features: file in which the features are kept for other trainings; DIR/features.npz if not given.
         rnn: network: a name, or package.module:Class for a subclass of models.networks.rnn.RecurrentNetwork.
-        start_from: candidate file whose weights and scaling are trained further, on this encoder's features; of the same network,
-            regulator gain and initial posture.
+        start_from: candidate file whose weights and scaling are trained further, on this encoder's features; of the
+            same network, regulator gain and initial posture.
         steps: updates; the network's own number (training_defaults) if not given.
         batch_size: sequences an update; a sequence is one subtask.
         posture_weight: weight of the posture's against the features' mean square error; the network's own if not given.
@@ -46,7 +46,8 @@ class RnnOptions(TrainingOptions):
         state_weight: weight of the mean of (c_0 - c_T)^2.
         carry_over: share of sequences that start from a late state of an earlier one instead of c_0.
         regulator_gain: K a tick, as the regulator of the diagram.
-        target: command to learn: the action at k, or the posture measured at k+1, which has what the teacher's arm was pushed off by.
+        target: command to learn: the action at k, or the posture measured at k+1, which holds what the teacher's arm
+            was pushed off by.
         scaling_margin: how much wider than the data the scaling's bounds are.
         least_half_range: rad; a joint that moves less is scaled as if it moved that far, so that the noise on it, and
             what counts as an error of it, is not much smaller than that of the others.
@@ -180,7 +181,7 @@ def prepare_sequences(
 
 
 def load_start(path: Path, options: RnnOptions, initial: np.ndarray) -> StoredPolicy:
-    """The candidate to train further; raises WeightsError where its weights or its scaling were made for something else."""
+    """The candidate to train further; raises WeightsError where it was made for something else."""
     started = load_policy(path)
     for what, have, want in (
         ("network", started.rnn.spec, options.rnn),

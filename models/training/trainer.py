@@ -1,6 +1,6 @@
 """What the trainings share: options, the loop over updates, checkpoints, resuming.
 
-A plain loop instead of Lightning's Trainer: it is shorter than what bent the Trainer to batches by (seed, step) and to one checkpoint.
+A plain loop, no Lightning: it is shorter than what bent its Trainer to batches by (seed, step) and one checkpoint.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class TrainingOptions:
 
     Args:
         data: data set of diagrams/teach.py (HDF5).
-        out: folder for the checkpoint, the log (CSV) and the weight files. The same command goes on with a training found there; other
-            options, data or seeds are refused.
+        out: folder for the checkpoint, the log (CSV) and the weight files. The same command goes on with a training
+            found there; other options, data or seeds are refused.
         seed: of initial weights, batches and augmentation.
         threads: threads of torch; 0 leaves torch's choice.
         progress: show a progress bar.
@@ -110,7 +110,7 @@ def fit(
     clip: float | None = None,
     log_every: int = 50,
 ) -> None:
-    """Trains to training.steps, from OUT/NAME.ckpt if it is there; figures go to OUT/NAME.csv and OUT/NAME-validation.csv.
+    """Trains to training.steps, from OUT/NAME.ckpt if it is there; logs to OUT/NAME.csv and OUT/NAME-validation.csv.
 
     Args:
         training: see Training.
@@ -220,7 +220,7 @@ class _Checkpoint:
 
 
 def refuse_other(path: Path, before: dict[str, Any], now: dict[str, Any]) -> None:
-    """Raises InputError, with both values, where what is in `path` was made with other options or data than those now."""
+    """Raises InputError, with both values, where `path` was made with other options or data than those now."""
     before, now = _flat(before), _flat(now)
     others = [
         f"{key} {before.get(key)}, not {now.get(key)}"
