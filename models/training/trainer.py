@@ -51,8 +51,8 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         for name in _COUNTS:
-            value = getattr(self, name, 1)
-            if value < 1:
+            value = getattr(self, name, None)
+            if value is not None and value < 1:
                 raise InputError(f"--{name.replace('_', '-')} {value} is out of range: choose 1 or more")
 
     def as_metadata(self) -> dict[str, Any]:

@@ -17,8 +17,8 @@ class Elman(RecurrentNetwork):
     training_defaults: ClassVar[dict[str, Any]] = {"steps": 3, "posture_weight": 4.0, "learning_rate": 1e-2}
 
     def __init__(self, posture_size: int = 8, feature_size: int = 30) -> None:
-        super().__init__(posture_size, feature_size, 6, 6)
-        self.hidden = nn.Linear(self.input_size + 6, 6)
+        super().__init__(posture_size, feature_size, 40, 40)
+        self.hidden = nn.Linear(self.input_size + 40, 40)
 
     def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         h = torch.tanh(self.hidden(torch.cat((x, state), 1)))

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,6 +9,7 @@ import pytest
 from models.data.demonstrations import (
     DatasetError,
     Demonstration,
+    content_of,
     iterate_frames,
     read_demonstrations,
     read_header,
@@ -73,3 +76,22 @@ def test_missing_and_damaged_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.h5").write_bytes(b"no data")
     with pytest.raises(DatasetError, match=r"bad\.h5: not a readable"):
         read_header(tmp_path / "bad.h5")
+
+
+def test_a_file_that_another_program_writes_is_not_called_damaged(data_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "d.h5"
+    path.write_bytes(data_file.read_bytes())
+    code = f"import h5py, sys; file = h5py.File({str(path)!r}, 'a'); print('open', flush=True); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
+        assert writer.stdout.readline() == b"open\n"
+        with pytest.raises(DatasetError, match=r"d\.h5: another program has it open for writing\. Wait"):
+            read_header(path)
+    assert read_header(path).total == 800
+
+
+def test_content_is_of_what_the_file_holds(data_file: Path, grown_data_file: Path) -> None:
+    assert read_header(data_file).content_hash == read_header(grown_data_file).content_hash
+    demos, grown = read_demonstrations(data_file), read_demonstrations(grown_data_file)
+    assert content_of(demos) == content_of(read_demonstrations(data_file)) != content_of(grown)
+    demos[3].posture[7, 2] += 1e-9
+    assert content_of(demos) != content_of(read_demonstrations(data_file))

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 from models.errors import InputError
-from models.files.weights import file_hash, load_policy
-from models.training.cae import CaeOptions, train_cae
+from models.files.weights import file_hash, load_autoencoder, load_policy
+from models.training.__main__ import main, parse
 from models.training.rnn import RnnOptions, RnnTraining, train_rnn
 from models.training.trainer import Training
 
@@ -75,14 +75,20 @@ def test_killed_at_any_write_the_same_command_ends_in_the_same_files(
 
 
 def test_autoencoder_resumes_bit_for_bit(data_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    options = CaeOptions(
-        data=data_file, out=tmp_path / "whole", max_images=16, batch_size=4, frame_stride=10, checkpoint_every=2,
-        device="cpu", progress=False,
-    )  # fmt: skip
-    whole = train_cae(options)
-    broken = replace(options, out=tmp_path / "broken")
-    assert kill_at(monkeypatch, 3, True, lambda: train_cae(broken))  # the last weights without their checkpoint
-    assert file_hash(train_cae(broken)) == file_hash(whole)
+    monkeypatch.setattr("models.networks.cae.HIDDEN", 20)  # a hundredth of the weights
+
+    def train(out: Path) -> None:
+        command = f"cae --data {data_file} --out {out} --max-images 8 --batch-size 4 --checkpoint-every 1 --device cpu"
+        assert main(parse([*command.split(), "--no-progress", "--frame-stride", "10"])) == 0
+
+    train(tmp_path / "whole")
+    assert kill_at(monkeypatch, 3, True, lambda: train(tmp_path / "broken"))  # the last weights without a checkpoint
+    train(tmp_path / "broken")
+    whole, broken = (tmp_path / name / "cae.safetensors" for name in ("whole", "broken"))
+    assert file_hash(broken) == file_hash(whole)
+    _, metadata = load_autoencoder(whole)
+    assert (metadata["step"], metadata["data_hash"], metadata["training"]["max_images"]) == (2, "00" * 32, 8)
+    assert "device" not in metadata["training"]
 
 
 def test_weight_file_that_a_kill_left_out_is_written_at_the_next_start(options: RnnOptions, unbroken: Path) -> None:
@@ -206,14 +212,16 @@ def ended(*arguments: object, before: str = "") -> subprocess.CompletedProcess[s
     )
 
 
-def test_bad_input_is_one_line_and_exit_code_2(data_file: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
+def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
     missing = ended("cae", "--data", tmp_path / "none.h5", "--out", tmp_path)
     assert (missing.returncode, missing.stderr.count("\n")) == (2, 1)
     assert "none.h5: the data set does not exist" in missing.stderr
-    no_folder = ended("cae", "--data", data_file, "--out", tmp_path / "file")
-    assert (no_folder.returncode, no_folder.stderr.count("\n")) == (2, 1)
-    assert "File exists" in no_folder.stderr
+
+
+def test_out_that_is_no_folder_is_bad_input(data_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="File exists"):
+        main(parse(["cae", "--data", str(data_file), "--out", str(tmp_path / "file")]))
 
 
 def test_without_the_extra_train_one_line_says_how_to_get_it(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import torch
 
 from models.data.demonstrations import read_demonstrations
 from models.errors import InputError
-from models.files.weights import WeightsError, file_hash, load_autoencoder, load_policy, save_policy
+from models.files.weights import WeightsError, file_hash, load_policy, save_policy
 from models.inference import Policy
 from models.networks import NETWORKS
 from models.training.__main__ import main, parse
@@ -76,16 +76,6 @@ def test_weighted_loss_counts_a_moving_pixel_sixteen_fold(data_file: Path, tmp_p
     assert losses[16.0] == pytest.approx((still + 16 * moving) / 17, rel=1e-5)
 
 
-def test_autoencoder_trains_and_writes(data_file: Path, tmp_path: Path) -> None:
-    command = f"cae --data {data_file} --out {tmp_path} --max-images 8 --batch-size 4 --no-progress --frame-stride 10"
-    assert main(parse([*command.split(), "--device", "cpu"])) == 0
-    _, metadata = load_autoencoder(tmp_path / "cae.safetensors")
-    assert metadata["step"] == 2
-    assert metadata["data_hash"] == "00" * 32
-    assert metadata["training"]["max_images"] == 8
-    assert "device" not in metadata["training"]
-
-
 def test_scaling_holds_what_the_network_has_to_say(data_file: Path) -> None:
     demos = read_demonstrations(data_file, "train")
     initial = demos[0].posture[0]
@@ -120,9 +110,9 @@ def test_network_from_outside_goes_all_the_way(rnn_options: RnnOptions, tmp_path
     policy = Policy(tmp_path / "policy-3.safetensors")
     assert policy.metadata["training"]["rnn"] == spec
     y, state = policy.step(np.zeros(38), policy.initial_state)
-    assert (y.shape, state.shape, policy.recall(state).shape) == ((38,), (6,), (10, 8))
+    assert (y.shape, state.shape, policy.recall(state).shape) == ((38,), (40,), (10, 8))
     stored = load_policy(candidate).rnn
-    wanted = stored.step(torch.zeros(1, 38), torch.zeros(1, 6))[0][0]
+    wanted = stored.step(torch.zeros(1, 38), torch.zeros(1, 40))[0][0]
     np.testing.assert_array_equal(y, wanted.detach().double().numpy())
     save_policy(tmp_path / "again.safetensors", load_policy(candidate))
     assert file_hash(tmp_path / "again.safetensors") == file_hash(candidate)
@@ -177,7 +167,7 @@ def test_recall_training_moves_no_main_weight(recall_options: RecallOptions, can
 def test_recall_that_is_done_is_not_taken_for_another(
     recall_options: RecallOptions, candidate: Path, tmp_path: Path
 ) -> None:
-    (path,) = train_recall(recall_options)
+    train_recall(recall_options)
     with pytest.raises(InputError, match=r"policy-4\.safetensors was made with learning_rate 0\.002, not 0\.1"):
         train_recall(replace(recall_options, learning_rate=0.1))
     policy = load_policy(candidate)
