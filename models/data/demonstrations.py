@@ -110,10 +110,13 @@ def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demo
     return found
 
 
-def content_of(demos: Sequence[Demonstration]) -> str:
-    """SHA-256 of demonstrations without their pictures: what is in the file, whatever its attributes say."""
-    digest = hashlib.sha256()
-    for demo in demos:
+def content_of(path: str | Path) -> str:
+    """SHA-256 of the teacher's content hash and of all but the pictures that the file holds.
+
+    The teacher's hash alone stays as it was while demonstrations are added.
+    """
+    digest = hashlib.sha256(read_header(path).content_hash.encode())
+    for demo in read_demonstrations(path):
         digest.update(f"{demo.name} {demo.split} {demo.vacant} {demo.subtask_starts}".encode())
         for array in (demo.can_xy, demo.posture, demo.actions):
             digest.update(array.tobytes())

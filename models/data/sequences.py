@@ -53,30 +53,25 @@ def pack_sequences(
         target: "posture": m_{k+1} as measured; "action": as commanded at k.
         padding: extra ticks after the longest sequence.
     """
-    rows: list[tuple[Demonstration, int, int, int, int]] = []
-    for demo in demos:
-        ends = [*demo.subtask_starts[1:], len(demo.posture)]
-        for subtask, (start, stop) in enumerate(subtask_ranges(demo)):
-            rows.append((demo, start, stop, ends[subtask] - 1, subtask))
-    longest = max(stop - start for _, start, stop, _, _ in rows) + padding
-    parts: list[list[np.ndarray]] = [[], [], [], []]
-    for demo, start, stop, last, _ in rows:
-        now = np.minimum(np.arange(start, start + longest), stop - 1)
-        after = np.minimum(np.minimum(np.arange(start, start + longest), stop - 1) + 1, last)
-        posture = scaling.scale(demo.posture)
+    cuts = [
+        (demo, start, stop, end - 1, subtask)
+        for demo in demos
+        for subtask, ((start, stop), end) in enumerate(
+            zip(subtask_ranges(demo), [*demo.subtask_starts[1:], len(demo.posture)], strict=True)
+        )
+    ]
+    ticks = np.arange(max(stop - start for _, start, stop, _, _ in cuts) + padding)
+    rows = []
+    for demo, start, stop, last, _ in cuts:
+        now = np.minimum(start + ticks, stop - 1)
+        after = np.minimum(now + 1, last)
+        posture, feature = scaling.scale(demo.posture), features[demo.name]
         commanded = scaling.scale(demo.actions)[now] if target == "action" else posture[after]
-        for part, value in zip(
-            parts, (posture[now], features[demo.name][now], commanded, features[demo.name][after]), strict=True
-        ):
-            part.append(value)
-    m, f, m_next, f_next = (torch.from_numpy(np.stack(part)).float() for part in parts)
+        rows.append((posture[now], feature[now], commanded, feature[after]))
     return SequencePack(
-        m,
-        f,
-        m_next,
-        f_next,
-        length=torch.tensor([stop - start for _, start, stop, _, _ in rows]),
-        subtask=torch.tensor([row[-1] for row in rows]),
+        *(torch.from_numpy(np.stack(part)).float() for part in zip(*rows, strict=True)),
+        length=torch.tensor([stop - start for _, start, stop, _, _ in cuts]),
+        subtask=torch.tensor([cut[-1] for cut in cuts]),
     )
 
 

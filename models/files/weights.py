@@ -13,21 +13,11 @@ from torch import Tensor, nn
 from models.data.scaling import MinMaxScaling
 from models.errors import InputError
 from models.files.quantisation import SCALE, dequantise, is_large, quantise, rounded
-from models.files.tensors import RETRAIN, WeightsError, file_hash, read_tensors, write_tensors
+from models.files.tensors import RETRAIN, WeightsError, read_tensors, write_tensors
+from models.files.tensors import file_hash as file_hash
 from models.networks.cae import ConvolutionalAutoencoder
 from models.networks.recall import RecallHeads
 from models.networks.rnn import RecurrentNetwork, make_rnn
-
-__all__ = [
-    "StoredPolicy",
-    "WeightsError",
-    "file_hash",
-    "load_autoencoder",
-    "load_policy",
-    "read_autoencoder",
-    "save_autoencoder",
-    "save_policy",
-]
 
 
 @dataclass

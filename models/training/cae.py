@@ -131,13 +131,14 @@ def train_cae(options: CaeOptions) -> Path:
     metadata = {"training": options.as_metadata(), "data_hash": read_header(options.data).content_hash}
     print(f"{len(frames)} training frames, {frames.nbytes / 1e9:.2f} GB; {options.max_images} images to show")
     training = CaeTraining(options, frames, metadata)
+    device = options.device
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
     try:
-        training.to(
-            "cuda" if options.device == "auto" and torch.cuda.is_available() else options.device.replace("auto", "cpu")
-        )
+        training.to(device)
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"--device {options.device} cannot be used ({reason}): choose auto, or cpu") from error
-    made_from = {"data": content_of(read_demonstrations(options.data))}
+        raise InputError(f"--device {device} cannot be used ({reason}): choose auto, or cpu") from error
+    made_from = {"data": content_of(options.data)}
     fit(training, options, made_from, name="cae", log_every=20)
     return training.weight_file(training.steps)

@@ -18,18 +18,17 @@ def encode_dataset(path: Path, encoder: Encoder, cache: Path) -> dict[str, np.nd
 
     Raises InputError if `cache` is a file of another kind, or a damaged one: it is not overwritten.
     """
-    demos = read_demonstrations(path)
-    key = f"{encoder.hash} {content_of(demos)}"
+    names = [demo.name for demo in read_demonstrations(path)]
+    key = f"{encoder.hash} {content_of(path)}"
     if cache.exists():
         try:
             with np.load(cache) as stored:
                 if str(stored["key"]) == key:
-                    return {demo.name: stored[demo.name] for demo in demos}
+                    return {name: stored[name] for name in names}
         except Exception as error:  # whatever reading strange bytes may raise
             raise InputError(
                 f"{cache}: not a whole file of features ({type(error).__name__}): delete it, or give another --features"
             ) from error
-    names = [demo.name for demo in demos]
     frames = tqdm(iterate_frames(path, names), total=len(names), desc="encoding", unit="demonstration", disable=None)
     features = {name: encoder.encode_batch(rgb) for name, rgb in zip(names, frames, strict=True)}
     cache.parent.mkdir(parents=True, exist_ok=True)

@@ -17,8 +17,9 @@ from models.files.tensors import WeightsError, file_hash
 from models.files.weights import StoredPolicy, load_policy, save_policy
 from models.inference import Encoder
 from models.networks.recall import RecallHeads
+from models.training.checkpoint import refuse_other
 from models.training.rnn import JOINTS, SequenceTraining, prepare_sequences
-from models.training.trainer import TrainingOptions, fit, prepare, refuse_other
+from models.training.trainer import TrainingOptions, fit, prepare
 
 
 @dataclass(kw_only=True)
@@ -121,7 +122,7 @@ def train_recall(options: RecallOptions) -> list[Path]:
         target = policy.metadata.get("training", {}).get("target", "posture")
         packs = prepare_sequences(options, demos, encoder, policy.scaling, target)
         policy.metadata["recall_training"] = options.as_metadata()
-        made_from = {"data": content_of(demos), "policy": file_hash(path)}
+        made_from = {"data": content_of(options.data), "policy": file_hash(path)}
         fit(RecallTraining(options, packs["train"], policy, out), options, made_from, name=out.stem)
         rms = recall_errors(policy, packs["valid"]).sqrt().tolist()
         print(

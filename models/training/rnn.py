@@ -200,7 +200,7 @@ def train_rnn(options: RnnOptions) -> Path:
     header, encoder, demos = read_header(options.data), Encoder(options.encoder), read_demonstrations(options.data)
     initial, gain = header.initial_posture, options.regulator_gain
     metadata: dict[str, Any] = {"training": options.as_metadata(), "data_hash": header.content_hash}
-    made_from = {"data": content_of(demos), "encoder": encoder.hash}
+    made_from = {"data": content_of(options.data), "encoder": encoder.hash}
     rnn = make_rnn(options.rnn, len(initial), encoder.feature_size)
     if options.start_from is None:
         train = [demo for demo in demos if demo.split == "train"]

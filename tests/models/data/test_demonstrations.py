@@ -3,6 +3,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -89,9 +90,16 @@ def test_a_file_that_another_program_writes_is_not_called_damaged(data_file: Pat
     assert read_header(path).total == 800
 
 
-def test_content_is_of_what_the_file_holds(data_file: Path, grown_data_file: Path) -> None:
+def test_content_is_of_what_the_file_holds(data_file: Path, grown_data_file: Path, tmp_path: Path) -> None:
     assert read_header(data_file).content_hash == read_header(grown_data_file).content_hash
-    demos, grown = read_demonstrations(data_file), read_demonstrations(grown_data_file)
-    assert content_of(demos) == content_of(read_demonstrations(data_file)) != content_of(grown)
-    demos[3].posture[7, 2] += 1e-9
-    assert content_of(demos) != content_of(read_demonstrations(data_file))
+    assert content_of(data_file) == content_of(data_file) != content_of(grown_data_file)
+    path = tmp_path / "d.h5"
+    for change in ("data/demo_3/obs/posture", "data/demo_3/actions"):
+        path.write_bytes(data_file.read_bytes())
+        with h5py.File(path, "a") as file:
+            file[change][7, 2] += 1e-9
+        assert content_of(path) != content_of(data_file)
+    path.write_bytes(data_file.read_bytes())
+    with h5py.File(path, "a") as file:
+        file["data"].attrs["content_hash"] = "11" * 32  # other pictures
+    assert content_of(path) != content_of(data_file)
