@@ -68,11 +68,9 @@ def pack_sequences(
         posture, feature = scaling.scale(demo.posture), features[demo.name]
         commanded = scaling.scale(demo.actions)[now] if target == "action" else posture[after]
         rows.append((posture[now], feature[now], commanded, feature[after]))
-    return SequencePack(
-        *(torch.from_numpy(np.stack(part)).float() for part in zip(*rows, strict=True)),
-        length=torch.tensor([stop - start for _, start, stop, _, _ in cuts]),
-        subtask=torch.tensor([cut[-1] for cut in cuts]),
-    )
+    m, f, m_next, f_next = (torch.from_numpy(np.stack(part)).float() for part in zip(*rows, strict=True))
+    length = torch.tensor([stop - start for _, start, stop, _, _ in cuts])
+    return SequencePack(m, f, m_next, f_next, length, subtask=torch.tensor([cut[-1] for cut in cuts]))
 
 
 @dataclass

@@ -77,6 +77,10 @@ def test_missing_and_damaged_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.h5").write_bytes(b"no data")
     with pytest.raises(DatasetError, match=r"bad\.h5: not a readable"):
         read_header(tmp_path / "bad.h5")
+    h5py.File(tmp_path / "other.h5", "w").close()
+    for read in (read_header, read_demonstrations, lambda path: next(iterate_frames(path, ["demo_0"]))):
+        with pytest.raises(DatasetError, match=r"other\.h5: .*Is that a data set of diagrams/teach\.py"):
+            read(tmp_path / "other.h5")
 
 
 def test_a_file_that_another_program_writes_is_not_called_damaged(data_file: Path, tmp_path: Path) -> None:
