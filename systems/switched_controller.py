@@ -5,7 +5,6 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import AffineSystem
 
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
-from systems.detector import sizes_of
 from systems.image_encoder import ImageEncoder
 from systems.posture_history import PostureHistory
 from systems.posture_regulator import lqr
@@ -15,7 +14,7 @@ from systems.switching_law import SwitchingLaw
 
 
 class SwitchedController(Diagram):
-    """Follows the learned trajectory while the network recalls what the arm did; else brings the arm to its initial posture.
+    """Follows the learned trajectory while the network recalls what the arm did; else brings the arm home.
 
     .. pydrake_system::
 
@@ -25,29 +24,29 @@ class SwitchedController(Diagram):
         - posture
         output_ports:
         - desired_posture
+        - rnn_step
+        - regulator_step
         - alpha
         - errors
         - hidden_state
         - predicted_features
-        - features
-        - rnn_step
-        - regulator_step
         - recalled_postures
         - posture_history
+        - features
 
     Inputs (read at the ticks only):
         rgb_image: ImageRgba8U of image_width x image_height pixels.
         posture: (M,) physical units: measured joint angles (rad), then the finger openings as commanded (m).
     Outputs (physical units; constant between ticks; only `features` has direct feedthrough, of the image):
         desired_posture: (M,) the command m_k + dm.
+        rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
         alpha: (1,) alpha_k; the loop closing of tick k uses alpha_{k-1}.
         errors: (E,) of the detector.
         hidden_state: (S,) c_k.
         predicted_features: (F,) f^R_{k+1}, in [-1, 1].
-        features: (F,) of the image, in [-1, 1]. Encodes when pulled: pull it at a tick, where the update needs it too.
-        rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
         recalled_postures: ((N + 1) M,) m^R_k, m^R_{k-1}, ..., m^R_{k-N}, *scaled*, row by row.
         posture_history: ((N + 1) M,) m_k, m_{k-1}, ..., m_{k-N}, *scaled*, row by row.
+        features: (F,) of the image, in [-1, 1]. Encodes when pulled: pull it at a tick, where the update needs it too.
 
     Inside, postures are scaled to [-1, 1] by the bounds in the policy's weight file. An update at tick k reads image,
     posture and alpha as they stand before it; the outputs after it are those of tick k. A publish event at the same
@@ -91,8 +90,7 @@ class SwitchedController(Diagram):
         """
         super().__init__()
         period = require_positive("period", period)
-        sizes = sizes_of(policy)
-        size = sizes["posture_size"]
+        size = policy.posture_size
         joints = require_count("joints", joints, maximum=size)
         joint_lower, joint_upper = require_bounds("joint_lower", joint_lower, "joint_upper", joint_upper, size)
         speed_limits = require_vector("speed_limits", speed_limits, size, minimum=0.0)
@@ -112,7 +110,7 @@ class SwitchedController(Diagram):
         network = builder.AddNamedSystem("recurrent_policy", RecurrentPolicy(policy, period))
         history = builder.AddNamedSystem(
             "posture_history",
-            PostureHistory(posture_size=size, horizon=sizes["horizon"], period=period, initial_posture=initial),
+            PostureHistory(posture_size=size, horizon=policy.horizon, period=period, initial_posture=initial),
         )
         mixer = RegulatedMixer(
             posture_size=size,
@@ -126,16 +124,7 @@ class SwitchedController(Diagram):
             max_step=speed_limits * period / half_range,
             settling_ticks=settling_ticks,
         )
-        law = builder.AddNamedSystem(
-            "switching_law",
-            SwitchingLaw(
-                **sizes,
-                feature_size=policy.feature_size,
-                detector=detector,
-                mixer=mixer,
-                dwell_ticks=dwell_ticks,
-            ),
-        )
+        law = builder.AddNamedSystem("switching_law", SwitchingLaw(policy, detector, mixer, dwell_ticks))
         self._detector = detector
 
         # A history of any vector. Its update at tick k still sees the alpha of tick k - 1.
@@ -163,15 +152,16 @@ class SwitchedController(Diagram):
             builder.ExportOutput(unscale.get_output_port(), name)
 
         export_physical(law.GetOutputPort("desired_posture"), "desired_posture", centre)
-        builder.ExportOutput(law.GetOutputPort("alpha"), "alpha")
-        builder.ExportOutput(law.GetOutputPort("errors"), "errors")
-        builder.ExportOutput(network.GetOutputPort("hidden_state"), "hidden_state")
-        builder.ExportOutput(network.GetOutputPort("predicted_features"), "predicted_features")
-        builder.ExportOutput(image_encoder.GetOutputPort("features"), "features")
-        export_physical(law.GetOutputPort("rnn_step"), "rnn_step", np.zeros(size))  # a difference has no offset
-        export_physical(law.GetOutputPort("regulator_step"), "regulator_step", np.zeros(size))
-        builder.ExportOutput(network.GetOutputPort("recalled_postures"), "recalled_postures")
-        builder.ExportOutput(history.GetOutputPort("posture_history"), "posture_history")
+        for name in ("rnn_step", "regulator_step"):
+            export_physical(law.GetOutputPort(name), name, np.zeros(size))  # a difference has no offset
+        for system, names in (
+            (law, ("alpha", "errors")),
+            (network, ("hidden_state", "predicted_features", "recalled_postures")),
+            (history, ("posture_history",)),
+            (image_encoder, ("features",)),
+        ):
+            for name in names:
+                builder.ExportOutput(system.GetOutputPort(name), name)
         builder.BuildInto(self)
 
     def set_calibration(self, context: Context, reference_errors, beta: float, gamma: float) -> None:

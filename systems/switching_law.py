@@ -51,28 +51,19 @@ class SwitchingLaw(Diagram):
     Converts to AutoDiffXd if the detector does; the result is a plain Diagram with the same ports.
     """
 
-    def __init__(
-        self,
-        *,
-        posture_size: int,
-        feature_size: int,
-        horizon: int,
-        state_size: int,
-        detector: System,
-        mixer: RegulatedMixer,
-        dwell_ticks: int = 0,
-    ):
+    def __init__(self, policy, detector: System, mixer: RegulatedMixer, dwell_ticks: int = 0):
         """
         Args:
-            posture_size, feature_size, horizon, state_size: M, F, N, S.
+            policy: any object with `posture_size` M, `feature_size` F, `horizon` N, `state_size` S.
             detector: any system that is one by systems/detector.py; becomes part of this Diagram.
-            mixer: in scaled units; becomes part of this Diagram.
+            mixer: in scaled units, D its number of last alphas; becomes part of this Diagram.
             dwell_ticks: W < D; see DwellTime.
         """
         super().__init__()
-        check_detector(detector, posture_size=posture_size, horizon=horizon, state_size=state_size)
+        check_detector(detector, policy)
         builder = DiagramBuilder()
-        closer = builder.AddNamedSystem("loop_closer", LoopCloser(posture_size=posture_size, feature_size=feature_size))
+        sizes = {"posture_size": policy.posture_size, "feature_size": policy.feature_size}
+        closer = builder.AddNamedSystem("loop_closer", LoopCloser(**sizes))
         builder.AddNamedSystem("detector", detector)
         builder.AddNamedSystem("regulated_mixer", mixer)
         history = mixer.GetInputPort("last_alphas").size()

@@ -33,7 +33,7 @@ from models.files.weights import StoredPolicy
 from models.networks.rnn import RecurrentNetwork
 from systems.detector import alpha_of
 from systems.image_encoder import ImageEncoder
-from systems.recall_detector import joint_weights, recall_errors
+from systems.recall_detector import recall_errors
 from systems.regulated_mixer import RegulatedMixer
 
 NEWTON_STEPS = 60
@@ -313,7 +313,7 @@ def _alpha(stored: StoredPolicy, z: np.ndarray, size: int) -> float | None:
     # At rest the prediction is what the regulator pulls against (n = 0).
     pull = stored.regulator_gain * (z[-size:] - stored.scaling.scale(stored.initial_posture))
     offsets = np.vstack((pull, recalled - z[-size:]))
-    errors = recall_errors(offsets, joint_weights(size, ARM_JOINTS), np.array(stored.reference_errors))
+    errors = recall_errors(offsets, ARM_JOINTS, np.array(stored.reference_errors))
     return float(alpha_of(errors, stored.beta, stored.gamma))
 
 
