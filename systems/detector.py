@@ -69,7 +69,7 @@ def check_detector(system: System, policy) -> None:
             raise ValueError(f"{kind} has no port `{name}`: declare the ports that systems/detector.py lists.")
         if size is not None and have[name] != size:
             raise ValueError(
-                f"The port `{name}` of {kind} has size {have[name]}, the policy asks for {size}: build it for this policy."
+                f"The port `{name}` of {kind} has size {have[name]}, the policy asks for {size}: build it for that."
             )
     if not hasattr(system, "set_calibration"):
         raise ValueError(f"{kind} has no method `set_calibration`: derive it from CalibratedDetector, or write one.")
@@ -129,7 +129,7 @@ class CalibratedDetector:
         references = require_vector("reference_errors", reference_errors, size, minimum=0.0)
         if np.any(references == 0.0):
             raise ValueError(
-                f"reference_errors is {references}; every component must be greater than 0, errors are divided by them: "
+                f"reference_errors is {references}; every component must be greater than 0, errors are divided by it: "
                 "calibrate on runs in which the arm moves."
             )
         values = references, [require_positive("beta", beta)], require_vector("gamma", [gamma], 1)

@@ -16,8 +16,8 @@ def DwellTime_(T):
 
         At the tick after that, the network sees for the first time again what is, not what it imagined (Eqs. 7, 8).
         What it recalls then of the tick before is off for a moment: alpha would rise for a tick or two, and fall again.
-        With W dwell ticks a stay below 1/2 lasts W + 1 ticks at least, so that the guard is crossed twice in W + 2 ticks
-        at most.
+        With W dwell ticks a stay below 1/2 lasts W + 1 ticks at least, so that the guard is crossed twice in W + 2
+        ticks at most.
 
         .. pydrake_system::
 

@@ -5,12 +5,14 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import AffineSystem
 
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
+from systems.detector import check_detector
+from systems.dwell_time import DwellTime
 from systems.image_encoder import ImageEncoder
+from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
 from systems.posture_regulator import lqr
 from systems.recurrent_policy import RecurrentPolicy
 from systems.regulated_mixer import RegulatedMixer
-from systems.switching_law import SwitchingLaw
 
 
 class SwitchedController(Diagram):
@@ -95,6 +97,7 @@ class SwitchedController(Diagram):
         joint_lower, joint_upper = require_bounds("joint_lower", joint_lower, "joint_upper", joint_upper, size)
         speed_limits = require_vector("speed_limits", speed_limits, size, minimum=0.0)
         _check_fit(encoder, policy)
+        check_detector(detector, policy)
         _check_gain(policy, lqr(joints, regulator_Q, regulator_R, period)[0])
         scaling = policy.scaling
         centre, half_range = scaling.centre, scaling.half_range
@@ -112,50 +115,60 @@ class SwitchedController(Diagram):
             "posture_history",
             PostureHistory(posture_size=size, horizon=policy.horizon, period=period, initial_posture=initial),
         )
-        mixer = RegulatedMixer(
-            posture_size=size,
-            joints=joints,
-            initial_posture=initial,
-            Q=regulator_Q,
-            R=regulator_R,
-            period=period,
-            lower=scaling.scale(joint_lower),
-            upper=scaling.scale(joint_upper),
-            max_step=speed_limits * period / half_range,
-            settling_ticks=settling_ticks,
+        closer = builder.AddNamedSystem("loop_closer", LoopCloser(posture_size=size, feature_size=policy.feature_size))
+        builder.AddNamedSystem("detector", detector)
+        dwell = builder.AddNamedSystem("dwell_time", DwellTime(history=settling_ticks, dwell_ticks=dwell_ticks))
+        mixer = builder.AddNamedSystem(
+            "regulated_mixer",
+            RegulatedMixer(
+                posture_size=size,
+                joints=joints,
+                initial_posture=initial,
+                Q=regulator_Q,
+                R=regulator_R,
+                period=period,
+                lower=scaling.scale(joint_lower),
+                upper=scaling.scale(joint_upper),
+                max_step=speed_limits * period / half_range,
+                settling_ticks=settling_ticks,
+            ),
         )
-        law = builder.AddNamedSystem("switching_law", SwitchingLaw(policy, detector, mixer, dwell_ticks))
-        self._detector = detector
-
         # A history of any vector. Its update at tick k still sees the alpha of tick k - 1.
         alpha_history = builder.AddNamedSystem(
             "alpha_history",
             PostureHistory(posture_size=1, horizon=settling_ticks - 1, period=period, initial_posture=np.zeros(1)),
         )
 
+        def wire(source: System, target: System, *names: str) -> None:
+            for name in names:
+                builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
+
         builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
         builder.ExportInput(scale.get_input_port(), "posture")
-        builder.Connect(scale.get_output_port(), law.GetInputPort("posture"))
+        # The update of tick k needs the posture of tick k; the command, the one that was sampled then.
+        builder.Connect(scale.get_output_port(), closer.GetInputPort("posture"))
         builder.Connect(scale.get_output_port(), history.GetInputPort("posture"))
-        builder.Connect(image_encoder.GetOutputPort("features"), law.GetInputPort("features"))
-        builder.Connect(history.GetOutputPort("posture"), law.GetInputPort("sampled_posture"))
-        builder.Connect(history.GetOutputPort("posture_history"), law.GetInputPort("posture_history"))
-        for name in ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state"):
-            builder.Connect(network.GetOutputPort(name), law.GetInputPort(name))
-        builder.Connect(law.GetOutputPort("network_input"), network.GetInputPort("network_input"))
-        builder.Connect(law.GetOutputPort("alpha"), alpha_history.GetInputPort("posture"))
-        builder.Connect(alpha_history.GetOutputPort("posture_history"), law.GetInputPort("last_alphas"))
+        wire(history, mixer, "posture")
+        wire(history, detector, "posture_history")
+        wire(image_encoder, closer, "features")
+        wire(closer, network, "network_input")
+        wire(network, closer, "predicted_posture", "predicted_features")
+        wire(network, detector, "recalled_postures", "hidden_state")
+        wire(network, mixer, "predicted_posture")
+        builder.Connect(detector.GetOutputPort("alpha"), dwell.GetInputPort("detector_alpha"))
+        wire(dwell, closer, "alpha")
+        wire(dwell, mixer, "alpha")
+        builder.Connect(dwell.GetOutputPort("alpha"), alpha_history.GetInputPort("posture"))
+        for system in (dwell, mixer):
+            builder.Connect(alpha_history.GetOutputPort("posture_history"), system.GetInputPort("last_alphas"))
 
-        def export_physical(port, name: str, offset: np.ndarray) -> None:
-            unscale = affine(f"{name}_unscaling", half_range, offset)
-            builder.Connect(port, unscale.get_input_port())
+        for name, offset in (("desired_posture", centre), ("rnn_step", 0.0), ("regulator_step", 0.0)):
+            unscale = affine(f"{name}_unscaling", half_range, offset * np.ones(size))  # a difference has no offset
+            builder.Connect(mixer.GetOutputPort(name), unscale.get_input_port())
             builder.ExportOutput(unscale.get_output_port(), name)
-
-        export_physical(law.GetOutputPort("desired_posture"), "desired_posture", centre)
-        for name in ("rnn_step", "regulator_step"):
-            export_physical(law.GetOutputPort(name), name, np.zeros(size))  # a difference has no offset
         for system, names in (
-            (law, ("alpha", "errors")),
+            (dwell, ("alpha",)),
+            (detector, ("errors",)),
             (network, ("hidden_state", "predicted_features", "recalled_postures")),
             (history, ("posture_history",)),
             (image_encoder, ("features",)),
@@ -163,6 +176,7 @@ class SwitchedController(Diagram):
             for name in names:
                 builder.ExportOutput(system.GetOutputPort(name), name)
         builder.BuildInto(self)
+        self._detector = detector
 
     def set_calibration(self, context: Context, reference_errors, beta: float, gamma: float) -> None:
         """Sets the detector's calibration (see CalibratedDetector) in `context`, the root Context; holds at once."""

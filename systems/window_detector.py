@@ -8,7 +8,7 @@ from systems.detector import CalibratedDetector
 
 
 class WindowDetector(CalibratedDetector, LeafSystem):
-    """Each joint is a criterion, l_j = a_j: how anomalous its window is, in physical units; a subclass defines `anomaly`.
+    """Each joint is a criterion, l_j = a_j: how anomalous its window is, by a subclass's `anomaly`.
 
     Ports: see systems/detector.py; errors (J,): a_j / r_j. `recalled_postures` and `hidden_state` are left unread.
     Direct feedthrough of `posture_history`; no state.

@@ -67,7 +67,7 @@ def test_a_bad_calibration_is_refused_and_changes_nothing(calibration, message):
 def test_a_system_that_is_no_detector_is_refused():
     detector = RecallDetector(SIZES, joints=2)
     check_detector(detector, SIZES)
-    with pytest.raises(ValueError, match="`posture_history` of .* has size 4, the policy asks for 6"):
+    with pytest.raises(ValueError, match=r"`posture_history` of .* has size 4, the policy asks for 6"):
         check_detector(detector, SimpleNamespace(posture_size=2, horizon=2, state_size=3))
     with pytest.raises(ValueError, match=r"LoopCloser.* no port `posture_history`"):
         check_detector(LoopCloser(posture_size=2, feature_size=2), SIZES)

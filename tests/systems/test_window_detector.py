@@ -1,4 +1,4 @@
-"""KnnDetector and SubspaceDetector: hand-worked numbers, brute force by scikit-learn, and what the constructors refuse."""
+"""KnnDetector and SubspaceDetector: hand-worked numbers, brute force by scikit-learn, what is refused."""
 
 from types import SimpleNamespace
 
