@@ -77,7 +77,8 @@ class SwitchedController(Diagram):
         Args:
             encoder, policy: see models/inference.py, or any objects like ImageEncoder and RecurrentPolicy ask for.
             detector: any system that is one by systems/detector.py, for scaled postures, as
-                `DETECTORS[...].build(policy, joints, arrays)` gives it; `set_calibration` says when it fires.
+                `DETECTORS[...].build(policy, joints, arrays)` gives it. In a default Context it never fires: call
+                `set_calibration`.
             joints: J, the first J components are brought home; the others are fingers.
             regulator_Q, regulator_R: cost of the deviation and of the step, see `systems.posture_regulator.lqr`. Their
                 gain must be `policy.regulator_gain`, with which the network was trained.
