@@ -37,7 +37,6 @@ class Record:
     predicted_features: np.ndarray  # (n, 30) f^R_{k+1}
     active: np.ndarray  # (n,) disturbance under way
     can_poses: np.ndarray  # (n, 14)
-    squared_errors: np.ndarray  # (n, N + 1) l_n, scaled postures
     picture_ticks: np.ndarray  # (p,) ticks of the pictures; none where they were not asked for
     pictures: np.ndarray  # (p, 112, 112, 3) uint8, what the camera saw
     events: list[tuple[float, str]]  # (s, what happened)
