@@ -31,8 +31,8 @@ s/ --benchmark-enable//
 /sweep\.py/s/--episodes [0-9]+/--episodes 1/
 /sweep\.py/s/--training-seeds 0 1 2/--training-seeds 0/
 s/--gamma 3 10 20 40 80 200/--gamma 3 20/
-# Training: twenty demonstrations, a few updates.
-/teach\.py/s/$/ --limit 20/
+# Training: eight demonstrations (two trained positions), a few updates.
+/teach\.py/s/$/ --limit 8/
 /training cae/s/$/ --max-images 128/
 s/ --steps [0-9]+//
 /training rnn/s/$/ --steps 4 --checkpoint-every 2 --validate-every 4/
