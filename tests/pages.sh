@@ -4,16 +4,19 @@
 #     tests/pages.sh          as written, in a fresh virtual environment (PYTHON chooses the interpreter)
 #     tests/pages.sh --here   in the present environment; what installs is left out
 #
+# Pages after that are run instead of all of them: tests/pages.sh --here diagrams/ANALYSIS.md
 # One line a command: how it ended, seconds, page, the command as it was run. Exit code 1 if one of them failed.
 # The commands come from the ```sh blocks of the pages themselves. What would take long is run with small sizes: see
 # `smaller`. A command that takes more than SLOW seconds although nothing makes it smaller is named at the end.
 set -uo pipefail
 shopt -s inherit_errexit 2>/dev/null || true
 ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
-HERE="${1:-}"
+HERE=""
+[ "${1:-}" = --here ] && HERE="$1" && shift
 SLOW=60
 PAGES=(README.md models/README.md diagrams/RESULTS.md diagrams/ANALYSIS.md models/weights/README.md systems/README.md
   tests/benchmarks/README.md)
+[ $# -gt 0 ] && PAGES=("$@")
 
 # What stands in for what, as a sed script (extended regular expressions). The first part is for --here only.
 installs() {
@@ -27,10 +30,11 @@ smaller() {
 # The suite has its own check, .ci/run; ratios of benchmarks need a machine on which nothing else runs.
 s/pytest -n 2 --dist loadfile/pytest tests\/test_pages.py/
 s/ --benchmark-enable//
-# Sweeps: one episode of each combination, one training seed, two gammas.
+# Sweeps: one episode of each combination, one training seed, two gammas, one disturbance for the other detectors.
 /sweep\.py/s/--episodes [0-9]+/--episodes 1/
 /sweep\.py/s/--training-seeds 0 1 2/--training-seeds 0/
 s/--gamma 3 10 20 40 80 200/--gamma 3 20/
+/sweep\.py.*--detector/s/$/ --disturbance none/
 # Training: eight demonstrations (two trained positions), a few updates.
 /teach\.py/s/$/ --limit 8/
 /training cae/s/$/ --max-images 128/
