@@ -53,7 +53,7 @@ s/cp runs\/cae\/cae\.safetensors/cp models\/weights\/cae.safetensors/
 /analysis\.py linearize/s/--samples 20/--samples 2/
 /analysis\.py guard/s/--grid 41 --rays 16/--grid 11 --rays 2/
 /analysis\.py falsify/s/$/ --trials 1 --scenes 1/
-s/^(.*--scenario )([^ ]*random-[0-9]+\.yaml)/echo "seed: 0" > \2 \&\& \1\2/
+s/^(.*--scenario )([^ ]*random-[0-9]+\.yaml)/mkdir -p outputs\/analysis \&\& echo "seed: 0" > \2 \&\& \1\2/
 SED
 }
 
