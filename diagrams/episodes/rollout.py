@@ -111,7 +111,7 @@ class Rollout:
         return EventStatus.DidNothing()
 
     def prepare(self, episode: Episode, calibration: Calibration | None = None) -> TaskMonitor:
-        """Puts a fresh Context for `episode` into the simulator; `calibration`: instead of the one given at construction."""
+        """Puts a fresh Context for `episode` into the simulator; `calibration` instead of the constructor's."""
         station, given = self.station, episode.disturbance
         self.simulator.reset_context(self.diagram.CreateDefaultContext())
         context = self.simulator.get_mutable_context()
