@@ -2,7 +2,8 @@
 
     python diagrams/sweep.py --episodes 40 --rnn lstm gru --disturbance none A B --out outputs/sweep
 
-Started again with the same --out it runs what is missing. Exit code 0: done; 1: some episode raised an error; 2: bad input.
+Started again with the same --out it runs what is missing.
+Exit code 0: done; 1: some episode raised an error; 2: bad input.
 """
 
 from __future__ import annotations

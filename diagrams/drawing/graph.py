@@ -41,7 +41,8 @@ def save_graph(diagram: Diagram, path: Path) -> None:
     dot = shutil.which("dot") or shutil.which("graphviz-pure", path=sysconfig.get_path("scripts"))
     if dot is None:
         raise InputError(
-            "there is no program `dot` to draw the graph with: install Graphviz or the package graphviz-pure, or ask for .dot"
+            "there is no program `dot` to draw the graph with: "
+            "install Graphviz or the package graphviz-pure, or ask for .dot"
         )
     try:
         command = [dot, f"-T{path.suffix[1:]}", "-o", str(path)]
@@ -52,8 +53,10 @@ def save_graph(diagram: Diagram, path: Path) -> None:
 
 
 def readable(text: str) -> str:
-    """Drake's graph with the wired ports alone, each with a name: where Drake numbers an input, that of what it is wired to; an output, its
-    system's."""
+    """Drake's graph with the wired ports alone, each with a name.
+
+    Where Drake numbers an input, that of what it is wired to; an output, its system's.
+    """
     edges = _EDGE.findall(text)
     sources = {(target, port): (node, out) for node, out, target, port in edges}
     used = set(sources) | set(sources.values())

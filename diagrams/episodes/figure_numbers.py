@@ -19,9 +19,9 @@ TRAINING_SEEDS = range(10)  # that are looked for
 
 
 def recall_losses(weights: Path) -> dict[str, np.ndarray]:
-    """By the network's name, of the calibrated weight files that are there: mean squared recall errors, scaled postures.
+    """By the network's name (training seeds, N): mean squared error of the joints recalled n = 1..N ticks back, scaled.
 
-    Each (training seeds, N), of the joints recalled n = 1..N ticks back, over the episodes of the calibration.
+    Means over the episodes of the calibration, of the calibrated weight files that are there.
     """
     from models.files.weights import load_policy
 
@@ -37,8 +37,8 @@ def recall_losses(weights: Path) -> dict[str, np.ndarray]:
 def choose_records(paths: list[Path], weights_hash: str) -> dict[str, tuple[Record, dict]]:
     """By the disturbance, in the order of DISTURBANCES, the run that is shown: its record and its outcome.
 
-    Of those with the detector `recall` and the weights of `weights_hash`, it is the first in which all went well; under B
-    one in which the can was taken from the hand, if there is one.
+    Of those with the detector `recall` and the weights of `weights_hash`, it is the first in which all went well; under
+    B one in which the can was taken from the hand, if there is one.
 
     Args:
         paths: records, or folders of them.

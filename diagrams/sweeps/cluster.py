@@ -73,8 +73,8 @@ class DaskPool:
 
         Args:
             function: of a module that the workers can import.
-            given_up: gives the result of a job that raised, or under which workers died again and again (as often as the
-                scheduler allows); None: that is raised.
+            given_up: gives the result of a job that raised, or under which more workers died than the scheduler allows;
+                None: that is raised.
         """
         jobs = list(jobs)
         futures = self._client.map(function, jobs, pure=False)

@@ -9,18 +9,18 @@ from diagrams.sweeps.summary import cells, controller_name
 
 
 def gamma_curves(rows: pd.DataFrame) -> tuple[dict[str, list], dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Of each controller and disturbance: success at each gamma, and its upper bound from the runs at the largest gamma.
+    """Success of each controller and disturbance at each gamma, and its upper bound from the runs at the largest gamma.
 
-    A run is the same under each gamma until an error first reaches it. So what the largest gamma let happen says for every
-    smaller one, without another run, whether there would have been a false alarm and whether the disturbance would have
-    been noticed; not whether the return and the resumption would have gone well, which takes the runs.
+    A run is the same under each gamma until an error first reaches it. So the runs at the largest gamma say for every
+    smaller one whether there would have been a false alarm and whether the disturbance would have been noticed; not
+    whether the return and the resumption would have gone well, which takes other runs.
 
     Args:
         rows: a table of sweeps (see table.py).
 
     Returns:
-        By a label: points with gamma and the entries of summary.rate, none for a controller with one gamma; gammas (200,)
-        and the share (200,) of runs with no false alarm at that gamma and, if disturbed, noticed.
+        curves: by a label, points with gamma and the entries of summary.rate; none for a controller with one gamma.
+        bounds: by a label, gammas (200,) and the share (200,) of runs with no false alarm and, if disturbed, noticed.
     """
     swept = rows[rows["gamma"].notna()]
     curves: dict[str, list] = {}

@@ -120,7 +120,7 @@ def _unique(values: list) -> list:
 
 
 def _by_label(registry, specs: list[str]) -> dict[str, str]:
-    """What `specs` name, by their short names, under which rows and files are kept; raises InputError for two with one name."""
+    """`specs` by the short names under which rows and files are kept; raises InputError for two with one name."""
     found: dict[str, str] = {}
     for spec in specs:
         label = registry.label(spec)

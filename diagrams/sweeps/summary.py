@@ -22,7 +22,7 @@ MEASURES = {
 
 
 def rate(successes: np.ndarray, training_seeds: np.ndarray) -> dict[str, Any]:
-    """Of (n,) bool and (n,) int: n, successes, rate, Wilson 95 % interval, and mean and deviation over the training seeds.
+    """Of (n,) bool and (n,) int: n, successes, rate, Wilson 95 % interval; mean and deviation over training seeds.
 
     The deviation is that of the whole (divided by the number of seeds): the paper's figures, such as 95.8 +- 2.4 % of
     three times 40, are possible with it alone.
@@ -78,8 +78,8 @@ def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
 def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """McNemar's exact test of each two controllers (rnn, detector) at the same gamma, on the episodes that both have.
 
-    `p_scenes`: an exact sign test on the scenes, which recur under every training seed: which of the two switches or does
-    its task more often there. All pairs are listed; none of the p is corrected for their number.
+    `p_scenes`: an exact sign test on the scenes, which recur under every training seed: which of the two switches or
+    does its task more often there. All pairs are listed; none of the p is corrected for their number.
     """
     found, measured = [], measures(rows)
     for labels, group in _groups(rows, ["disturbance", "gamma"]):
@@ -110,7 +110,7 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def sign_test(a: int, b: int) -> float:
-    """Two-sided p of the exact sign test, where `a` pairs speak for one and `b` for the other; McNemar's on discordant pairs."""
+    """Two-sided p of the exact sign test, `a` pairs against `b`; on discordant pairs it is McNemar's exact test."""
     return float(binomtest(a, a + b).pvalue) if a + b else 1.0
 
 

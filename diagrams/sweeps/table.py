@@ -1,4 +1,4 @@
-"""The table of a sweep, a row an episode: written when all of them are there, read by whoever looks at several sweeps."""
+"""The table of a sweep, a row an episode: written when all rows are there, read together with those of other sweeps."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _TYPES = {
     "str": pa.string(),
     "tuple[float, float]": pa.list_(pa.float64()),
 }
-# Beside the fields of an Outcome; error_peak_*: the detector's largest error before the onset, and from there to the end
-# of the disturbance + 5 ticks.
+# Beside the fields of an Outcome; error_peak_*: the detector's largest error before the onset, and from there to the
+# end of the disturbance + 5 ticks.
 _OWN = {
     "training_seed": pa.int64(),
     "gamma": pa.float64(),
@@ -56,8 +56,8 @@ def write_table(folder: Path, rows: list[dict[str, Any]]) -> Path:
 def read_tables(folders: list[Path]) -> pd.DataFrame:
     """The episodes of the sweeps in `folders`.
 
-    Raises InputError for a folder without a table, one that is damaged or was written by another version, and an episode
-    that two of them have.
+    Raises InputError for a folder without a table, one that is damaged or was written by another version, and an
+    episode that two of them have.
     """
     import pandas as pd
 
