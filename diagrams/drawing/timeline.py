@@ -15,6 +15,7 @@ from diagrams.world.names import ARM_JOINTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
 LABELLED = ("disturb", "switched", "initial posture", "resumes", "picked", "placed", "taken")
@@ -27,7 +28,6 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
     fingers = axes[0].twinx()
     fingers.plot(record.time, 1000 * record.posture[:, -1], color="0.4", lw=1.0, ls=":", label="fingers")
     fingers.set(ylabel="fingers (mm)", ylim=(0, 200))
-    axes[0].legend(ncol=7, fontsize=7, loc="lower center", frameon=False)
     axes[3].semilogy(record.time, np.maximum(record.errors.max(axis=1), 1e-3), color="0.2", lw=1.0)
     axes[3].set_ylabel(r"max $l_n / r_n$")
     _shade(axes[3], record)
@@ -44,6 +44,7 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
             for axis in axes:
                 axis.axvline(seconds, color="0.7", lw=0.6)
     figure.suptitle(title, fontsize=10)
+    _label_joints(figure, axes[0])
     save(figure, path)
 
 
@@ -59,7 +60,7 @@ def save_sequences(records: Mapping[str, Record], path: Path) -> None:
         column[3].set_xlabel("time (s)")
     for axis in axes.flat:
         axis.label_outer()
-    axes[0, 0].legend(ncol=2, fontsize=6, frameon=False)
+    _label_joints(figure, axes[0, 0])
     save(figure, path)
 
 
@@ -75,6 +76,10 @@ def _draw_signals(axes: Sequence[Axes], record: Record) -> None:
     axes[3].set(ylim=(-0.05, 1.05), ylabel=r"$\alpha$")
     for axis in axes:
         _shade(axis, record)
+
+
+def _label_joints(figure: Figure, axis: Axes) -> None:
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncol=7, fontsize=7, frameon=False)
 
 
 def _shade(axis: Axes, record: Record) -> None:
