@@ -40,14 +40,10 @@ class SweepArguments:
     retry_errors: bool = False  # run episodes that raised an error once more
 
     def check(self) -> None:
-        """Raises InputError for a value outside its choices."""
-        for name, values in (("rnn", self.rnn), ("detector", self.detector), ("disturbance", self.disturbance)):
-            if not values:
-                raise InputError(f"no {name} is given: give one or more")
-        for spec in self.rnn:
-            NETWORKS.check(spec)
-        for spec in self.detector:
-            DETECTORS.check(spec)
+        """Raises InputError for a value outside its choices; of networks and detectors `plan` does."""
+        for name in ("rnn", "detector", "disturbance", "training_seeds"):
+            if not getattr(self, name):
+                raise InputError(f"no {name.replace('_', ' ')} given: give one or more")
         for kind in self.disturbance:
             if kind not in DISTURBANCES:
                 raise InputError(f"there is no disturbance '{kind}': choose from {', '.join(DISTURBANCES)}")
@@ -66,14 +62,13 @@ class SweepArguments:
             raise InputError(
                 "--keep-records keeps whole episodes, which --until switching cuts short: leave one of them out"
             )
-        if not self.training_seeds:
-            raise InputError("no training seed is given: choose from 0 on")
 
 
 def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]]:
     """The episodes in the order of the table, and the names of the weight files that they need.
 
-    Raises WeightsError or InputError if a file is missing, damaged, or does not fit the others or the world.
+    Raises InputError for an unknown network or detector, InputError or WeightsError for a file that is missing,
+    damaged, or does not fit the others or the world.
     """
     from diagrams.episodes.calibration import learned_hash, policy_name, stored_calibration
     from diagrams.episodes.compatibility import require_trained_for

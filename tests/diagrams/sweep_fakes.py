@@ -17,6 +17,7 @@ from diagrams.sweeps.task import Task, error_row, run_task
 from diagrams.world.configuration import World
 
 PAUSE = 0.05  # s
+SECONDS = 4.0  # that a short task has for the task
 
 
 def make_task(seed=0, disturbance="none", **changes) -> Task:
@@ -86,9 +87,9 @@ def task_with_files(folder: Path, task: Task) -> dict:
 
 
 def short_task(folder: Path, task: Task) -> dict:
-    """A real episode with 4 s to do the task in."""
+    """A real episode with SECONDS to do the task in."""
     if not isinstance(Rollout.__dict__["run"], partialmethod):
-        Rollout.run = partialmethod(Rollout.run, time_limit=4.0)
+        Rollout.run = partialmethod(Rollout.run, time_limit=SECONDS)
     return run_task(folder, task)
 
 

@@ -1,5 +1,6 @@
 """Sweeps: what is on disk after a kill, a death, an error; that a second start changes nothing; what is refused."""
 
+import importlib.util
 import json
 import os
 import signal
@@ -190,6 +191,14 @@ def test_a_table_is_not_overwritten_without_its_rows(tmp_path, weights):
         run(weights, tmp_path)
 
 
+def test_a_missing_package_is_said_before_anything_runs(tmp_path, weights, monkeypatch):
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "scipy" else found(name))
+    with pytest.raises(ModuleNotFoundError, match="scipy"):
+        run(weights, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_remedies_are_compared_on_validation_scenes(tmp_path, weights, faked):
     assert run(weights, tmp_path, purpose="validation", seed=1) == 0
     seeds = {row["seed"] for row in table(tmp_path)}
@@ -227,7 +236,7 @@ def test_episodes_end_with_the_switching_where_that_is_asked(tmp_path, weights, 
     ("changes", "error", "named"),
     [
         ({"rnn": ["rnn"]}, InputError, "no network 'rnn'.*lstm, gru, mtrnn"),
-        ({"rnn": []}, InputError, "no rnn is given"),
+        ({"rnn": []}, InputError, "no rnn given"),
         ({"detector": ["svm"]}, InputError, "no detector 'svm'.*recall, knn, subspace"),
         ({"disturbance": ["none", "C"]}, InputError, "no disturbance 'C'"),
         ({"episodes": 0}, InputError, "number of episodes 0.*from 1"),
@@ -237,7 +246,7 @@ def test_episodes_end_with_the_switching_where_that_is_asked(tmp_path, weights, 
         ({"gamma": [0.0]}, InputError, "gamma 0.0 is out of range"),
         ({"workers": 0}, InputError, "number of workers 0"),
         ({"training_seeds": [-1]}, InputError, "training seed -1"),
-        ({"training_seeds": []}, InputError, "no training seed"),
+        ({"training_seeds": []}, InputError, "no training seeds given"),
         ({"training_seeds": [3]}, WeightsError, "lstm-3.safetensors.*does not exist"),
         ({"rnn": ["gru"]}, WeightsError, "gru.safetensors.*does not exist"),
         ({"detector": ["knn"]}, WeightsError, "knn.safetensors.*does not exist"),
@@ -255,7 +264,8 @@ def test_bad_input_is_refused_before_anything_runs(tmp_path, weights, changes, e
 def test_bad_input_has_code_2_and_one_line(tmp_path):
     done = subprocess.run(
         [sys.executable, str(ROOT / "diagrams" / "sweep.py"), "--weights", "nowhere"],
-        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1

@@ -26,7 +26,7 @@ def test_gamma_curves_and_their_bounds():
     assert [(p["gamma"], p["rate"]) for p in curves["LSTM recall, A"]] == [(10.0, 0.5), (1000.0, 0.25)]
     gammas, share = bounds["LSTM recall, A"]
     assert (gammas[0], gammas[-1]) == pytest.approx((10.0, 1000.0))
-    # At 10: the third run is a false alarm, the fourth is not noticed; at 100 the third is fine; at 1000 the first alone
+    # At 10: the third run is a false alarm, the fourth is not noticed; at 100 the third is fine; at 1000 only the first
     # is noticed.
     assert np.interp([10.0, 100.0, 1000.0], gammas, share) == pytest.approx([0.5, 0.75, 0.25])
     assert gamma_curves(rows[rows["gamma"].isna()]) == ({}, {})
