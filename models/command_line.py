@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 from collections.abc import Callable
@@ -49,6 +50,13 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     except BrokenPipeError:  # whoever read the output has had enough of it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
+
+
+def require(*modules: str) -> None:
+    """Raises ModuleNotFoundError for one of `modules` that is not installed, before hours of work end in that."""
+    for name in modules:
+        if importlib.util.find_spec(name) is None:
+            raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 
 
 def require_checkout() -> None:
