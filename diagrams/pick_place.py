@@ -23,6 +23,7 @@ from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario
 from models.command_line import run
 from models.errors import InputError
+from models.networks import NETWORKS
 
 
 @dataclass
@@ -98,7 +99,7 @@ def main(cli: PickPlaceArguments) -> int:
                 f"{path.name} has no format that can be written: choose a name that ends in {', '.join(formats)}"
             )
     episode = EpisodeSampler(cli.world).episode(cli)
-    encoder, policy = Encoder(cli.weights / ENCODER), Policy(cli.weights / policy_name(cli.rnn))
+    encoder, policy = Encoder(cli.weights / ENCODER), Policy(cli.weights / policy_name(NETWORKS.label(cli.rnn)))
     calibration = stored_calibration(cli.detector, policy, cli.weights)
     detector = make_detector(cli.detector, policy, cli.weights)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
