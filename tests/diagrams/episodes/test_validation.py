@@ -1,0 +1,57 @@
+"""Validation episodes: which are run, in which order they come back, and what is kept of a real one."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from diagrams.episodes.calibration import OFF, Controller, never_fires
+from diagrams.episodes.rollout import Rollout
+from diagrams.episodes.runner import Job, run_episode
+from diagrams.episodes.sampling import SEED_BASE
+from diagrams.episodes.validation import Validation, error_peaks_of, outcome_of, recall_peaks_of, tally
+from tests.diagrams.episode_fakes import outcome
+from tests.diagrams.untrained import save_untrained
+
+
+class Backwards:
+    """A pool that gives the last job first."""
+
+    def run(self, function, jobs):
+        yield from ((job, function(job)) for job in reversed(jobs))
+
+
+def test_the_runs_come_by_kind_in_the_order_of_their_seeds(world, tmp_path):
+    controller = Controller(tmp_path / "lstm.safetensors")
+    validation = Validation(Backwards(), world, tmp_path / "cae.safetensors", 3)
+    asked = validation.run(controller, lambda job: job, {"none": 3, "B": 2}, {"none": "task", "B": "detection"})
+    assert [*asked] == ["none", "B"]
+    first = SEED_BASE["validation"] + 3 * 10_000
+    assert [job.seed for job in asked["none"]] == validation.seeds(3) == [first, first + 1, first + 2]
+    assert [job.seed for job in asked["B"]] == [first, first + 1]
+    assert {(job.kind, job.until) for jobs in asked.values() for job in jobs} == {("none", "task"), ("B", "detection")}
+    assert all(job.controller == controller and job.encoder.name == "cae.safetensors" for job in asked["none"])
+
+
+def test_tally(capsys):
+    jobs = [Job(None, None, None, seed=seed) for seed in (4, 5, 6)]
+    found = tally("net", [outcome(job, job.seed != 5, sim_seconds=10.0 * job.seed) for job in jobs])
+    assert found == {
+        "successes": 2, "switching": 3, "episodes": 3, "mean_seconds": 50.0, "failures": {"seed 5": "stalled"},
+    }  # fmt: skip
+    assert "net: 2 of 3 tasks done, 50.0 s on average; failures: {'seed 5': 'stalled'}" in capsys.readouterr().out
+
+
+def test_what_is_kept_of_a_run_with_the_detector_off(world, tmp_path, monkeypatch):
+    monkeypatch.setattr(Rollout, "run", functools.partialmethod(Rollout.run, time_limit=1.5))
+    folder = save_untrained(tmp_path, calibrated=False)
+    job = Job(world, folder / "cae.safetensors", Controller(folder / "lstm.safetensors", calibration=never_fires(11)), 5)
+    _, record = run_episode(job)
+    found = recall_peaks_of(job)
+    assert (found.ticks, found.outcome.seed, found.after) == (15, 5, None)
+    assert np.array_equal(found.before, record.squared_errors.max(axis=0))
+    assert np.array_equal(found.total, record.squared_errors.sum(axis=0))
+    assert not outcome_of(job).switched  # the untrained network errs a lot
+    # References of 1 leave the detector's errors what they are: those of the recall, l_n.
+    assert error_peaks_of(job).before == pytest.approx(found.before, rel=1e-12)
+    assert found.before.max() < OFF
