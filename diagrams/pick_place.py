@@ -105,7 +105,7 @@ def main(cli: PickPlaceArguments) -> int:
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    rollout = Rollout(cli.world, encoder, policy, detector, meshcat=meshcat, video=cli.video)
+    rollout = Rollout(cli.world, encoder, policy, *detector, meshcat=meshcat, video=cli.video)
     for path in written:
         require_writable(path)
     rollout.simulator.set_target_realtime_rate(cli.realtime_rate)

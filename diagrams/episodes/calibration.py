@@ -12,12 +12,8 @@ from pydrake.systems.framework import System
 
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
-from systems.detector import RecallDetector
+from systems.detector import NEVER as OFF  # a gamma at which no detector fires
 from systems.detectors import DETECTORS
-
-# The recall of the joints is judged, not that of the fingers: under alpha = 1 they keep their command, whatever the
-# network goes through.
-COMPONENT_WEIGHTS = np.append(np.ones(ARM_JOINTS), 0.0)
 
 
 @dataclass(frozen=True)
@@ -30,9 +26,6 @@ class Calibration:
     reference_errors: tuple[float, ...]
     beta: float
     gamma: float
-
-
-OFF = 1e12  # a gamma at which no detector fires
 
 
 def never_fires(criteria: int) -> Calibration:
@@ -59,21 +52,25 @@ def policy_name(rnn: str, training_seed: int = 0) -> str:
     return f"{rnn}-{training_seed}.safetensors" if training_seed else f"{rnn}.safetensors"
 
 
+def detector_file(folder: Path, detector: str) -> Path:
+    """File of what that detector learned, and of its calibrations for the policies in `folder`."""
+    return folder / f"{DETECTORS.label(detector)}.safetensors"
+
+
 def stored_calibration(detector: str, policy, folder: Path, gamma: float | None = None) -> Calibration:
     """The calibration in the files in `folder`; `policy`: see models/inference.py. With a `gamma`: the paper's rule (errors
     referred to their means).
 
     Raises InputError for a policy without, WeightsError for a baseline's file that is missing, damaged, or without one for this policy.
     """
-    from models.files.baselines import calibration_of, load_detector
+    from models.files.detectors import calibration_of, load_detector
 
     if detector == "recall":
-        if policy.reference_errors is None or policy.mean_errors is None or policy.beta is None or policy.gamma is None:
+        references, gamma = (policy.reference_errors, policy.gamma) if gamma is None else (policy.mean_errors, gamma)
+        if references is None or policy.beta is None or gamma is None:
             raise InputError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
-        if gamma is not None:
-            return Calibration(tuple(policy.mean_errors), policy.beta, gamma)
-        return Calibration(tuple(policy.reference_errors), policy.beta, policy.gamma)
-    path = folder / f"{detector}.safetensors"
+        return Calibration(tuple(references), policy.beta, gamma)
+    path = detector_file(folder, detector)
     found = calibration_of(path, load_detector(path, detector), policy.hash)
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
 
@@ -83,50 +80,39 @@ def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
 
     Raises WeightsError for a file that is missing, damaged, or without a calibration for the policy.
     """
-    from models.files.baselines import calibration_of, load_detector
+    from models.files.detectors import calibration_of, load_detector
 
-    path = folder / f"{detector}.safetensors"
+    path = detector_file(folder, detector)
     found = load_detector(path, detector)
     digest = hashlib.sha256(json.dumps(calibration_of(path, found, policy_hash), sort_keys=True).encode())
-    for array in [*found.runs, *([] if found.axes is None else [found.axes])]:
+    for _, array in sorted(found.arrays.items()):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 
 
-def make_detector(detector: str, policy, folder: Path, calibration: Calibration | None = None) -> System:
-    """The detector of that name for `policy`, with `calibration` instead of the one in the files; raises as stored_calibration does."""
-    from models.files.baselines import load_detector
+def make_detector(
+    detector: str, policy, folder: Path, calibration: Calibration | None = None
+) -> tuple[System, Calibration]:
+    """The detector of that name for `policy`, and its calibration: `calibration`, or the one in the files.
 
-    if detector not in DETECTORS:
-        raise InputError(f"there is no detector '{detector}': choose one of {', '.join(DETECTORS)}")
+    Raises as stored_calibration does, and InputError where scikit-learn is not installed.
+    """
+    from models.files.detectors import StoredDetector, load_detector
+
+    DETECTORS[detector]
     if calibration is None:
         calibration = stored_calibration(detector, policy, folder)
-    if detector == "recall":
-        return RecallDetector(**_arguments(policy, calibration), component_weights=COMPONENT_WEIGHTS)
-    return make_window_detector(load_detector(folder / f"{detector}.safetensors", detector), policy, calibration)
+    stored = (
+        StoredDetector("recall")
+        if detector == "recall"
+        else load_detector(detector_file(folder, detector), detector)
+    )
+    return build_detector(stored, policy), calibration
 
 
-def make_window_detector(stored, policy, calibration: Calibration) -> System:
-    """The baseline `stored` (models/files/baselines.py) for `policy`; raises InputError where scikit-learn is not installed."""
-    from models.files.baselines import posture_windows
-    from systems.knn_detector import KnnDetector
-    from systems.subspace_detector import SubspaceDetector
-
-    arguments = _arguments(policy, calibration) | {"lower": policy.scaling.lower, "upper": policy.scaling.upper}
-    if stored.axes is not None:
-        return SubspaceDetector(axes=stored.axes, **arguments)
+def build_detector(stored, policy) -> System:
+    """The detector of `stored` (models/files/detectors.py) for `policy`; raises InputError where scikit-learn is not installed."""
     try:
-        return KnnDetector(windows=posture_windows(stored.runs), **arguments)
+        return DETECTORS[stored.detector].build(policy, ARM_JOINTS, stored.arrays)
     except ModuleNotFoundError as error:
-        raise InputError(f"the detector knn needs {error.name}: pip install -e '.[sweep]'") from error
-
-
-def _arguments(policy, calibration: Calibration) -> dict:
-    return {
-        "posture_size": policy.posture_size,
-        "horizon": policy.horizon,
-        "state_size": policy.state_size,
-        "reference_errors": np.array(calibration.reference_errors),
-        "beta": calibration.beta,
-        "gamma": calibration.gamma,
-    }
+        raise InputError(f"the detector {stored.detector} needs {error.name}: pip install -e '.[sweep]'") from error

@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, EventStatus
 
-from diagrams.episodes.calibration import COMPONENT_WEIGHTS
+from diagrams.episodes.calibration import Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.narrator import Narrator
@@ -19,10 +19,11 @@ from diagrams.episodes.record import PICTURE_EVERY, Record
 from diagrams.episodes.switching import DETECTION_TICKS, GUARD, Switching, Until
 from diagrams.world.can_mover import CanMover
 from diagrams.world.configuration import World
-from diagrams.world.names import other_spot
+from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import TIME_LIMIT, TaskMonitor, lifted
 from models.errors import InputError
+from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
 from systems.switched_controller import SwitchedController
 
@@ -33,11 +34,20 @@ RECORDED = ("rnn_step", "regulator_step", "desired_posture", "errors", "hidden_s
 class Rollout:
     """Station, controller and disturbance, wired as systems/README.md says."""
 
-    def __init__(self, world: World, encoder, policy, detector=None, meshcat=None, video: Path | None = None):
+    def __init__(
+        self,
+        world: World,
+        encoder,
+        policy,
+        detector=None,
+        calibration: Calibration | None = None,
+        meshcat=None,
+        video: Path | None = None,
+    ):
         """
         Args:
             encoder, policy: see models/inference.py.
-            detector: see systems/detectors.py; None: the recall of the policy.
+            detector, calibration: see systems/detector.py; those of the policy's recall where None.
             meshcat: where the run is shown.
             video: an .mp4 to write, finished by `self.video.Save()`.
 
@@ -45,6 +55,8 @@ class Rollout:
         """
         require_trained_for(world, policy)
         self.world, self.policy = world, policy
+        detector = detector or DETECTORS["recall"].build(policy, ARM_JOINTS, {})
+        self.calibration = calibration or stored_calibration("recall", policy, Path())
         builder = DiagramBuilder()
         self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None))
         lower, upper, speed = controller_limits(self.station)
@@ -52,10 +64,10 @@ class Rollout:
             self.controller = SwitchedController(
                 encoder,
                 policy,
+                detector,
+                joints=ARM_JOINTS,
                 regulator_Q=world.regulator.state_weight,
                 regulator_R=world.regulator.input_weight,
-                detector=detector,
-                component_weights=COMPONENT_WEIGHTS if detector is None else None,
                 joint_lower=lower,
                 joint_upper=upper,
                 speed_limits=speed,
@@ -101,6 +113,8 @@ class Rollout:
         station, given = self.station, episode.disturbance
         self.simulator.reset_context(self.diagram.CreateDefaultContext())
         context = self.simulator.get_mutable_context()
+        calibration = self.calibration
+        self.controller.set_calibration(context, calibration.reference_errors, calibration.beta, calibration.gamma)
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
         meter = station.approach_meter
         meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
@@ -135,6 +149,7 @@ class Rollout:
         rows: dict[str, list] = defaultdict(list, {"picture_ticks": [], "pictures": []})
         narrator = Narrator(monitor, on_event)
         size, scaling = self.policy.posture_size, self.policy.scaling
+        judged = np.arange(size) < ARM_JOINTS  # not the fingers, see systems/recall_detector.py
         success = diverged = cut = False
         disturbed = episode.disturbance.kind != "none"
         limit, extra, k = round(time_limit / period), 0, 0
@@ -155,7 +170,7 @@ class Rollout:
             active = bool(self.disturbance.GetOutputPort("active").Eval(disturbance)[0] > 0.5)
             row = dict(posture=posture, alpha=alpha, active=active, can_poses=cans, features=features)
             row |= {name: get(name).Eval(controller).copy() for name in RECORDED}
-            row["squared_errors"] = np.average((history - recalled) ** 2, axis=1, weights=COMPONENT_WEIGHTS)
+            row["squared_errors"] = np.average((history - recalled) ** 2, axis=1, weights=judged)
             row["at_home"] = bool(monitor.home(posture))
             if pictures and k % PICTURE_EVERY == 0:
                 row |= {"picture_ticks": k, "pictures": self._station_output("rgb_image").data[:, :, :3].copy()}

@@ -59,6 +59,6 @@ def rollout_for(job: Job) -> Rollout:
         detector = make_detector(
             job.controller.detector, policy, job.controller.policy.parent, calibration=job.controller.calibration
         )
-        return Rollout(job.world, encoder, policy, detector)
+        return Rollout(job.world, encoder, policy, *detector)
 
     return kept_in_thread(("rollout", repr(job.world), job.encoder, job.controller), build, most=KEPT)

@@ -6,7 +6,7 @@ divided by its reference, dimensionless; the peak of a stretch of ticks is its l
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,6 +128,30 @@ def most_judged_right(normal: np.ndarray, disturbed: np.ndarray) -> float:
     right = np.array([np.sum(normal < gamma) + np.sum(disturbed >= gamma) for gamma in middles])
     width = np.where(right == right.max(), edges[1:] / edges[:-1], 0.0)
     return float(middles[np.argmax(width)])
+
+
+def best_in_loop(
+    gamma: float, factors: Sequence[float], betas: Sequence[float], run: Callable[[float, float], Sequence[Outcome]]
+) -> tuple[float, float, list[dict[str, float]]]:
+    """The beta and gamma with most switching successes in closed loop, the first of the best; and how each did.
+
+    First `gamma` times each of `factors` with the first of `betas`, then the best gamma with the other betas. `run`: the
+    outcomes with a beta and a gamma.
+    """
+    trials: list[dict[str, float]] = []
+
+    def best(candidates: list[tuple[float, float]]) -> tuple[float, float]:
+        for beta, value in candidates:
+            outcomes = run(beta, value)
+            successes = sum(outcome.switch_success for outcome in outcomes)
+            print(f"  beta {beta:g}, gamma {value:.1f}: {successes} of {len(outcomes)} switched right", flush=True)
+            trials.append({"beta": beta, "gamma": value, "successes": successes, "episodes": len(outcomes)})
+        found = max(trials, key=lambda trial: trial["successes"])
+        return found["beta"], found["gamma"]
+
+    first, *others = betas
+    _, gamma = best([(first, factor * gamma) for factor in factors])
+    return *best([(beta, gamma) for beta in others]), trials
 
 
 def _done(runs: Sequence[ErrorPeaks]) -> list[ErrorPeaks]:
