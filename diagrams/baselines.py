@@ -41,7 +41,9 @@ class BaselinesArguments:
 
     policies: list[Path]  # policy files, all in one folder
     data: Path  # demonstrations of diagrams/teach.py
-    detector: list[str] = field(default_factory=lambda: [name for name in DETECTORS if name != "recall"])  # or package.module:Class
+    detector: list[str] = field(
+        default_factory=lambda: [name for name in DETECTORS if name != "recall"]
+    )  # or package.module:Class
     scenario: Path | None = None  # YAML file whose world the episodes run in
     encoder: Path = WEIGHTS / ENCODER  # autoencoder file
     episodes: int = 20  # undisturbed validation episodes, as many as calibrate.py runs
@@ -108,7 +110,9 @@ def _check(arguments: BaselinesArguments) -> None:
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"the {name} {value} is out of range: choose a finite one above 0")
     if len({path.parent.resolve() for path in arguments.policies}) != 1:
-        raise InputError("the policies lie in several folders: put them into one, their detectors' files lie beside them")
+        raise InputError(
+            "the policies lie in several folders: put them into one, their detectors' files lie beside them"
+        )
 
 
 def _begun(file: Path, spec: str, notes: dict[str, Any]) -> StoredDetector | None:
@@ -127,7 +131,9 @@ def _begun(file: Path, spec: str, notes: dict[str, Any]) -> StoredDetector | Non
     return found
 
 
-def _calibrate(arguments: BaselinesArguments, validation: Validation, path: Path, policy, stored: StoredDetector) -> None:
+def _calibrate(
+    arguments: BaselinesArguments, validation: Validation, path: Path, policy, stored: StoredDetector
+) -> None:
     """Adds to `stored` the calibration for the policy in `path`, and where it comes from."""
     from diagrams.episodes.calibration import Calibration, Controller, build_detector, never_fires
     from diagrams.episodes.thresholds import best_in_loop, by_count

@@ -52,7 +52,9 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(candidates, m
     given = arguments(candidates)
     assert calibrate.main(given) == 0
     stored = load_policy(given.out)
-    gamma = np.sqrt(1.0 * 200.0)  # normal runs peak at 20 times 1e-4 n, which is their reference; disturbed ones at 4000
+    gamma = np.sqrt(
+        1.0 * 200.0
+    )  # normal runs peak at 20 times 1e-4 n, which is their reference; disturbed ones at 4000
     assert stored.mean_errors == pytest.approx(39 / 20 * MEAN)
     assert stored.reference_errors == pytest.approx(20 * MEAN)
     assert (stored.beta, stored.gamma) == (30.0, pytest.approx(gamma))

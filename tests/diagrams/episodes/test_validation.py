@@ -45,7 +45,9 @@ def test_tally(capsys):
 def test_what_is_kept_of_a_run_with_the_detector_off(world, tmp_path, monkeypatch):
     monkeypatch.setattr(Rollout, "run", functools.partialmethod(Rollout.run, time_limit=1.5))
     folder = save_untrained(tmp_path, calibrated=False)
-    job = Job(world, folder / "cae.safetensors", Controller(folder / "lstm.safetensors", calibration=never_fires(11)), 5)
+    job = Job(
+        world, folder / "cae.safetensors", Controller(folder / "lstm.safetensors", calibration=never_fires(11)), 5
+    )
     _, record = run_episode(job)
     found = recall_peaks_of(job)
     assert (found.ticks, found.outcome.seed, found.after) == (15, 5, None)
