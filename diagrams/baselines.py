@@ -31,6 +31,7 @@ from systems.detectors import DETECTORS
 
 if TYPE_CHECKING:
     from diagrams.episodes.episode import Outcome
+    from diagrams.episodes.switching import Until
     from diagrams.episodes.validation import Validation
     from models.files.detectors import StoredDetector
 
@@ -83,7 +84,7 @@ def main(arguments: BaselinesArguments) -> int:
     if len(stored) < len(files):
         runs = [demo.posture[:, :ARM_JOINTS] for demo in read_demonstrations(arguments.data, "train")]
         for spec in files.keys() - stored.keys():
-            stored[spec] = StoredDetector(spec, DETECTORS[spec].fit(runs), metadata=dict(notes))
+            stored[spec] = StoredDetector(DETECTORS.label(spec), DETECTORS[spec].fit(runs), metadata=dict(notes))
             save_detector(files[spec], stored[spec])  # what the trials run is what was stored
     with Pool(arguments.workers) as pool:
         validation = Validation(pool, world, arguments.encoder, arguments.seed)
@@ -92,7 +93,7 @@ def main(arguments: BaselinesArguments) -> int:
                 if policy.hash in stored[spec].calibrations:
                     print(f"{path.name}, {spec}: calibrated already", flush=True)
                 else:
-                    _calibrate(arguments, validation, path, policy, stored[spec])
+                    _calibrate(arguments, validation, path, policy, spec, stored[spec])
                     save_detector(file, stored[spec])
     print(f"written: {', '.join(map(str, files.values()))}")
     return 0
@@ -100,8 +101,7 @@ def main(arguments: BaselinesArguments) -> int:
 
 def _check(arguments: BaselinesArguments) -> None:
     for spec in arguments.detector:
-        DETECTORS.check(spec)
-        if spec == "recall":
+        if DETECTORS.label(spec) == "recall":
             raise InputError("the recall is calibrated by diagrams/calibrate.py: choose another --detector")
     if not arguments.detector or not arguments.factors or not arguments.betas:
         raise InputError("detectors, factors and betas need one value at least")
@@ -121,7 +121,7 @@ def _begun(file: Path, spec: str, notes: dict[str, Any]) -> StoredDetector | Non
 
     if not file.exists():
         return None
-    found = load_detector(file, spec)
+    found = load_detector(file, DETECTORS.label(spec))
     others = [name for name in notes | {"world": None} if found.metadata.get(name) != notes.get(name)]
     if others:
         raise InputError(
@@ -132,29 +132,30 @@ def _begun(file: Path, spec: str, notes: dict[str, Any]) -> StoredDetector | Non
 
 
 def _calibrate(
-    arguments: BaselinesArguments, validation: Validation, path: Path, policy, stored: StoredDetector
+    arguments: BaselinesArguments, validation: Validation, path: Path, policy, spec: str, stored: StoredDetector
 ) -> None:
     """Adds to `stored` the calibration for the policy in `path`, and where it comes from."""
-    from diagrams.episodes.calibration import Calibration, Controller, build_detector, never_fires
+    from diagrams.episodes.calibration import Calibration, Controller, make_detector, never_fires
     from diagrams.episodes.thresholds import best_in_loop, by_count
     from diagrams.episodes.validation import error_peaks_of, outcome_of
 
-    criteria = build_detector(stored, policy).GetOutputPort("errors").size()
-    off = Controller(path, stored.detector, never_fires(criteria))
+    criteria = make_detector(spec, policy, path.parent).GetOutputPort("errors").size()
+    off = Controller(path, spec, never_fires(criteria))
     counts = {kind: arguments.episodes if kind == "none" else arguments.disturbed for kind in DISTURBANCES}
     # Each run ends as soon as it has shown what is asked of it: the task done, or the joints up to the disturbance's end.
-    ends = {kind: "task" if kind == "none" else "detection" for kind in DISTURBANCES}
+    ends: dict[str, Until] = {kind: "task" if kind == "none" else "detection" for kind in DISTURBANCES}
     runs = validation.run(off, error_peaks_of, counts, ends)
     found = by_count(runs.pop("none"), runs)
-    print(f"{path.name}, {stored.detector}, {found.words()}", flush=True)
+    print(f"{path.name}, {spec}, {found.words()}", flush=True)
 
     def run_with(beta: float, gamma: float) -> Sequence[Outcome]:
-        controller = Controller(path, stored.detector, Calibration(tuple(found.mean_errors.tolist()), beta, gamma))
-        trials, until = dict.fromkeys(DISTURBANCES, arguments.trials), dict.fromkeys(DISTURBANCES, "switching")
-        return sum(validation.run(controller, outcome_of, trials, until).values(), [])
+        controller = Controller(path, spec, Calibration(tuple(found.mean_errors.tolist()), beta, gamma))
+        until: dict[str, Until] = dict.fromkeys(DISTURBANCES, "switching")
+        outcomes = validation.run(controller, outcome_of, dict.fromkeys(DISTURBANCES, arguments.trials), until)
+        return [outcome for kind in DISTURBANCES for outcome in outcomes[kind]]
 
     beta, gamma, trials = best_in_loop(found.gamma, arguments.factors, arguments.betas, run_with)
-    print(f"{path.name}, {stored.detector}: beta {beta:g}, gamma {gamma:.1f}", flush=True)
+    print(f"{path.name}, {spec}: beta {beta:g}, gamma {gamma:.1f}", flush=True)
     stored.calibrations[policy.hash] = {"mean_errors": found.mean_errors.tolist(), "beta": beta, "gamma": gamma}
     peaks = {"normal": found.normal.tolist()} | {kind: peaks.tolist() for kind, peaks in found.disturbed.items()}
     stored.metadata[policy.hash] = {"policy": path.name, "peaks": peaks, "trials": trials}

@@ -17,6 +17,7 @@ from diagrams.episodes.sampling import episode_seeds
 from diagrams.episodes.switching import Until
 from diagrams.episodes.thresholds import ErrorPeaks
 from diagrams.world.configuration import World
+from systems.detectors import DETECTORS
 
 R = TypeVar("R")
 
@@ -50,7 +51,7 @@ class Validation:
             for kind, count in counts.items()
             for seed in seeds[:count]
         ]
-        words = f"{controller.policy.stem} {controller.detector_label} {', '.join(counts)}"
+        words = f"{controller.policy.stem} {DETECTORS.label(controller.detector)} {', '.join(counts)}"
         done = self.pool.run(reduce, jobs)
         bar = tqdm(done, total=len(jobs), desc=words, unit="episode", leave=False, disable=None)
         found = {(job.kind, job.seed): reduced for job, reduced in bar}

@@ -21,8 +21,9 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE
+from systems.alpha_mixer import AlphaMixer
 from systems.posture_history import PostureHistory
-from systems.regulated_mixer import RegulatedMixer
+from systems.posture_regulator import make_posture_regulator
 
 TIME_LIMIT = 10.0  # s: an arm that is not at home by then has failed
 TICKS_AT_HOME = 5  # simulated beyond the arrival, for V
@@ -42,25 +43,26 @@ class ReturnLoop:
         history = builder.AddNamedSystem(
             "posture_history", PostureHistory(posture_size=size, horizon=1, period=period, initial_posture=initial)
         )
-        mixer = builder.AddNamedSystem(
-            "regulated_mixer",
-            RegulatedMixer(
+        regulator = builder.AddSystem(
+            make_posture_regulator(
                 posture_size=size,
                 joints=ARM_JOINTS,
                 initial_posture=initial,
                 Q=world.regulator.state_weight,
                 R=world.regulator.input_weight,
                 period=period,
-                lower=lower,
-                upper=upper,
-                max_step=speed * period,
-            ),
+            )
+        )
+        mixer = builder.AddNamedSystem(
+            "alpha_mixer", AlphaMixer(posture_size=size, lower=lower, upper=upper, max_step=speed * period)
         )
         alpha = builder.AddNamedSystem("alpha", ConstantVectorSource(np.ones(1)))
         posture = history.GetOutputPort("posture")
         builder.Connect(self.station.GetOutputPort("posture"), history.GetInputPort("posture"))
+        builder.Connect(posture, regulator.GetInputPort("posture"))
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say
             builder.Connect(posture, mixer.GetInputPort(port))
+        builder.Connect(regulator.GetOutputPort("step"), mixer.GetInputPort("regulator_step"))
         for port in ("alpha", "last_alphas"):
             builder.Connect(alpha.get_output_port(), mixer.GetInputPort(port))
         builder.Connect(mixer.GetOutputPort("desired_posture"), self.station.GetInputPort("desired_posture"))

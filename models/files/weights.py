@@ -11,22 +11,13 @@ import torch
 from torch import Tensor, nn
 
 from models.data.scaling import MinMaxScaling
+from models.errors import InputError
 from models.files.quantisation import SCALE, dequantise, is_large, quantise, rounded
-from models.files.tensors import RETRAIN, WeightsError, file_hash, read_tensors, write_tensors
+from models.files.tensors import RETRAIN, WeightsError, read_tensors, write_tensors
+from models.files.tensors import file_hash as file_hash
 from models.networks.cae import ConvolutionalAutoencoder
 from models.networks.recall import RecallHeads
 from models.networks.rnn import RecurrentNetwork, make_rnn
-
-__all__ = [
-    "StoredPolicy",
-    "WeightsError",
-    "file_hash",
-    "load_autoencoder",
-    "load_policy",
-    "read_autoencoder",
-    "save_autoencoder",
-    "save_policy",
-]
 
 
 @dataclass
@@ -40,7 +31,8 @@ class StoredPolicy:
         initial_posture: (8,).
         regulator_gain: K per tick, the same for each joint.
         encoder_hash: file hash of the autoencoder whose features it was trained on.
-        mean_errors: (N+1,) mean l_n of normal runs; reference_errors: (N+1,) what l_n is divided by; beta, gamma: of the detector's sigmoid.
+        mean_errors: (N+1,) mean l_n of normal runs; reference_errors: (N+1,) what l_n is divided by.
+        beta, gamma: of the detector's sigmoid.
         metadata: anything else, JSON-serialisable: training arguments, hash of the data set.
     """
 
@@ -110,7 +102,7 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
     }
     header = {
         "kind": "policy",
-        "rnn": policy.rnn.name,
+        "rnn": policy.rnn.spec,
         "posture_size": policy.rnn.posture_size,
         "feature_size": policy.rnn.feature_size,
         "encoder_hash": policy.encoder_hash,
@@ -149,6 +141,8 @@ def load_policy(path: str | Path) -> StoredPolicy:
             gamma=header["gamma"],
             metadata=header["metadata"],
         )
+    except InputError as error:
+        raise WeightsError(path, f"its network cannot be built ({error})", "Install what defines it") from error
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(path, f"its metadata does not describe a policy ({error})", RETRAIN) from error
     _fill(path, rnn, _part(tensors, "rnn."))

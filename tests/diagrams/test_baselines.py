@@ -9,13 +9,14 @@ import pytest
 from diagrams import baselines
 from diagrams.baselines import BaselinesArguments
 from diagrams.episodes import validation
-from diagrams.episodes.calibration import OFF, learned_hash, stored_calibration
+from diagrams.episodes.calibration import learned_hash, stored_calibration
 from diagrams.episodes.sampling import SEED_BASE
 from diagrams.world.configuration import World
 from models.data.recording import RecordingFile
 from models.errors import InputError
 from models.files.detectors import load_detector, save_detector
 from models.inference import Policy
+from systems.detector import NEVER
 from systems.detectors import DETECTORS
 from tests.diagrams.episode_fakes import outcome, record
 from tests.diagrams.teacher_fakes import recording
@@ -42,7 +43,7 @@ def run_episode(job):
     """20 ticks of errors that peak at 6 times their mean of 2, and 100 times it under a disturbance; with the detector on,
     episodes of odd seeds are switched right below a gamma of 40, all others always."""
     criteria = CRITERIA[job.controller.detector]
-    on = job.controller.calibration.gamma != OFF
+    on = job.controller.calibration.gamma != NEVER
     assert len(job.controller.calibration.reference_errors) == criteria
     right = not on or job.seed % 2 == 0 or job.controller.calibration.gamma < 40.0
     disturbed = [] if job.kind == "none" else [[200.0] * criteria]
@@ -75,7 +76,7 @@ def arguments(folder, data, **changes):
 def test_files_hold_what_was_learned_and_chosen(folder, data, asked, spec, capsys):
     assert baselines.main(arguments(folder, data, detector=[spec])) == 0
     policy = Policy(folder / "lstm.safetensors")
-    stored = load_detector(folder / f"{DETECTORS.label(spec)}.safetensors", spec)
+    stored = load_detector(folder / f"{DETECTORS.label(spec)}.safetensors", DETECTORS.label(spec))
     # Of all ticks of the undisturbed runs: (18 * 2 + 12 - 8) / 20 = 2; normal peaks 6, disturbed ones 100.
     gamma = np.sqrt(6.0 * 100.0)
     trials = stored.metadata[policy.hash]["trials"]
@@ -100,14 +101,14 @@ def test_what_is_learned_comes_from_the_training_demonstrations(folder, data, as
     assert arrays["lengths"].tolist() == [60] * len(train)
     assert arrays["angles"].shape == (180, 7)
     home = World().initial_posture[1]
-    largest = load_detector(folder / "far.safetensors", OUTSIDE).arrays["largest"][0]
+    largest = load_detector(folder / "far.safetensors", "far").arrays["largest"][0]
     assert abs(largest - home) < 0.11
 
 
 def test_nothing_is_tuned_on_evaluation_episodes(folder, data, asked):
     baselines.main(arguments(folder, data, detector=["subspace"]))
     assert {job.seed // 1_000_000 for job in asked} == {SEED_BASE["validation"] // 1_000_000}
-    off = [job for job in asked if job.controller.calibration.gamma == OFF]
+    off = [job for job in asked if job.controller.calibration.gamma == NEVER]
     assert {(job.kind, job.until) for job in off} == {("none", "task"), ("A", "detection"), ("B", "detection")}
     assert len(off) == 4 + 3 + 3
     assert {job.until for job in asked if job not in off} == {"switching"}
@@ -128,9 +129,10 @@ def test_it_goes_on_after_a_kill_and_adds_policies(folder, data, asked, monkeypa
             raise Killed
         return run_episode(job)
 
-    with monkeypatch.context() as patch, pytest.raises(Killed):
+    with monkeypatch.context() as patch:
         patch.setattr(validation, "run_episode", killed)
-        baselines.main(given)
+        with pytest.raises(Killed):
+            baselines.main(given)
     assert len(load_detector(folder / "subspace.safetensors", "subspace").calibrations) == 1
     policy = Policy(policies[0])
     before = learned_hash(folder, "subspace", policy.hash)

@@ -9,10 +9,10 @@ import pytest
 from diagrams import calibrate
 from diagrams.calibrate import CalibrateArguments
 from diagrams.episodes import validation
-from diagrams.episodes.calibration import OFF
 from diagrams.episodes.sampling import SEED_BASE
 from models.errors import InputError
 from models.files.weights import WeightsError, load_policy
+from systems.detector import NEVER
 from tests.diagrams.episode_fakes import OUTCOME, outcome, record  # noqa: F401
 from tests.diagrams.untrained import save_untrained
 
@@ -38,7 +38,7 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(candidates, m
 
     def run_episode(job):
         asked.append(job)
-        on = job.controller.calibration.gamma != OFF
+        on = job.controller.calibration.gamma != NEVER
         if on:
             assert job.controller.calibration.reference_errors == pytest.approx(20 * MEAN)
         # Undisturbed, 4000 and 6000 fail once; disturbed, 6000 is the better one.
@@ -70,8 +70,10 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(candidates, m
     assert all(SEED_BASE["validation"] <= job.seed < SEED_BASE["evaluation"] for job in asked)
     # Only what cannot succeed without a detector is cut short; the rest is judged to its end.
     gammas = [job.controller.calibration.gamma for job in asked]
-    assert all((j.until == "detection") == (j.kind != "none" and g == OFF) for j, g in zip(asked, gammas, strict=True))
-    assert sorted({g for j, g in zip(asked, gammas, strict=True) if j.kind != "none"}) == pytest.approx([gamma, OFF])
+    assert all(
+        (j.until == "detection") == (j.kind != "none" and g == NEVER) for j, g in zip(asked, gammas, strict=True)
+    )
+    assert sorted({g for j, g in zip(asked, gammas, strict=True) if j.kind != "none"}) == pytest.approx([gamma, NEVER])
     assert "5 of 6 tasks done" in capsys.readouterr().out
 
 

@@ -11,12 +11,12 @@ import pytest
 
 from models.files.detectors import calibration_of, load_detector
 from models.inference import Encoder, Policy
-from models.networks.rnn import RNNS
+from models.networks import NETWORKS
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "models" / "weights"
 GOLDEN = Path(__file__).with_name("golden.json")
 # Not the autoencoder, nor the detectors that diagrams/baselines.py puts beside the networks.
-POLICIES = sorted(path.stem for path in WEIGHTS.glob("*.safetensors") if path.stem.split("-")[0] in RNNS)
+POLICIES = sorted(path.stem for path in WEIGHTS.glob("*.safetensors") if path.stem.split("-")[0] in list(NETWORKS))
 
 
 def encoder_output() -> np.ndarray:

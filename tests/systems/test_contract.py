@@ -66,7 +66,7 @@ CASES = {
         {("detector_alpha", "alpha"), ("last_alphas", "alpha")},
     ),
     "Disturbance": (
-        lambda: Disturbance(posture_size=M, kind="B", hold_ticks=2, trigger_level=0.0),
+        lambda: Disturbance(posture_size=M),
         {("desired_posture", "disturbed_posture")},
     ),
     "SwitchingLaw": (

@@ -5,11 +5,12 @@ import functools
 import numpy as np
 import pytest
 
-from diagrams.episodes.calibration import OFF, Controller, never_fires
+from diagrams.episodes.calibration import Controller, never_fires
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.sampling import SEED_BASE
 from diagrams.episodes.validation import Validation, error_peaks_of, outcome_of, recall_peaks_of, tally
+from systems.detector import NEVER
 from tests.diagrams.episode_fakes import outcome
 from tests.diagrams.untrained import save_untrained
 
@@ -56,4 +57,4 @@ def test_what_is_kept_of_a_run_with_the_detector_off(world, tmp_path, monkeypatc
     assert not outcome_of(job).switched  # the untrained network errs a lot
     # References of 1 leave the detector's errors what they are: those of the recall, l_n.
     assert error_peaks_of(job).before == pytest.approx(found.before, rel=1e-12)
-    assert found.before.max() < OFF
+    assert found.before.max() < NEVER

@@ -62,7 +62,7 @@ def test_the_hash_is_that_of_what_is_listed(tmp_path):
     assert record(path, range(4)) == first
     assert len(read_demonstrations(path)) == 4
     for changes in ({"vacant": "right"}, {"split": "valid"}, {"posture": np.zeros((40, 8))}):
-        assert record(tmp_path / f"{[*changes][0]}.h5", range(4), **changes) != first
+        assert record(tmp_path / f"{next(iter(changes))}.h5", range(4), **changes) != first
 
 
 def test_the_order_of_writing_does_not_matter(tmp_path):
