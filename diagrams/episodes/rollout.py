@@ -55,7 +55,7 @@ class Rollout:
         Raises InputError for networks, camera, world and regulator that do not fit together.
         """
         require_trained_for(world, policy)
-        self._weights = joint_weights(policy.posture_size, ARM_JOINTS)
+        self._judged = joint_weights(policy.posture_size, ARM_JOINTS) > 0.0
         self.world, self.policy = world, policy
         builder = DiagramBuilder()
         self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None))
@@ -176,7 +176,7 @@ class Rollout:
             active = bool(self.disturbance.GetOutputPort("active").Eval(disturbance)[0] > 0.5)
             row = dict(posture=posture, alpha=alpha, active=active, can_poses=cans, features=features)
             row |= {name: get(name).Eval(controller).copy() for name in RECORDED}
-            row["squared_errors"] = np.average((history - recalled) ** 2, axis=1, weights=self._weights)
+            row["squared_errors"] = np.average((history - recalled) ** 2, axis=1, weights=self._judged)
             row["at_home"] = bool(monitor.home(posture))
             if pictures and k % PICTURE_EVERY == 0:
                 row |= {"picture_ticks": k, "pictures": self._station_output("rgb_image").data[:, :, :3].copy()}

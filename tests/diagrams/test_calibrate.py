@@ -13,7 +13,7 @@ from diagrams.episodes.sampling import SEED_BASE
 from models.errors import InputError
 from models.files.weights import WeightsError, load_policy
 from systems.detector import NEVER
-from tests.diagrams.episode_fakes import OUTCOME, outcome, record  # noqa: F401
+from tests.diagrams.episode_fakes import outcome, record
 from tests.diagrams.untrained import save_untrained
 
 MEAN = 1e-4 * np.arange(1, 12)

@@ -5,12 +5,16 @@ import functools
 import numpy as np
 import pytest
 
-from diagrams.episodes.calibration import Controller, never_fires
+from diagrams.episodes.calibration import Controller, detector_file, make_detector, never_fires
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.sampling import SEED_BASE
 from diagrams.episodes.validation import Validation, error_peaks_of, outcome_of, recall_peaks_of, tally
+from models.data.windows import posture_windows
+from models.files.detectors import StoredDetector, save_detector
+from models.inference import Policy
 from systems.detector import NEVER
+from systems.detectors import DETECTORS
 from tests.diagrams.episode_fakes import outcome
 from tests.diagrams.untrained import save_untrained
 
@@ -58,3 +62,18 @@ def test_what_is_kept_of_a_run_with_the_detector_off(world, tmp_path, monkeypatc
     # References of 1 leave the detector's errors what they are: those of the recall, l_n.
     assert error_peaks_of(job).before == pytest.approx(found.before, rel=1e-12)
     assert found.before.max() < NEVER
+
+
+@pytest.mark.parametrize("spec", ["knn", "subspace"])
+def test_errors_of_a_run_are_those_of_its_windows(world, tmp_path, monkeypatch, spec):
+    """The untrained network leads the arm astray; the window before the first tick is the initial posture."""
+    monkeypatch.setattr(Rollout, "run", functools.partialmethod(Rollout.run, time_limit=2.0))
+    folder, home = save_untrained(tmp_path), world.initial_posture[:7]
+    runs = [home + 0.1 * np.sin(np.arange(40)[:, None] * rate) for rate in (0.05, 0.1)]
+    save_detector(detector_file(folder, spec), StoredDetector(spec, DETECTORS[spec].fit(runs)))
+    controller = Controller(folder / "lstm.safetensors", spec, never_fires(7))
+    _, record = run_episode(Job(world, folder / "cae.safetensors", controller, 5))
+    windows = posture_windows([np.vstack([np.tile(home, (9, 1)), record.posture[:, :7]])])
+    detector = make_detector(spec, Policy(controller.policy), folder)
+    assert record.errors.shape == (20, 7)
+    assert record.errors == pytest.approx(detector.anomaly(windows).T, rel=1e-6, abs=1e-9)
