@@ -1,21 +1,20 @@
-"""Fits and calibrates the detectors that learn from runs, the two baselines of Table II among them, for trained networks.
+"""Fits and calibrates the detectors that learn from runs, the two baselines of Table II among them.
 
     python diagrams/baselines.py --policies models/weights/lstm*.safetensors --data demonstrations.h5
 
 1. Each detector learns from the training demonstrations in --data.
-2. Mean errors and gamma come from validation episodes with the detector off, as many as calibrate.py runs: see by_count in
+2. Mean errors and gamma come from validation episodes with the detector off: see by_count in
    diagrams/episodes/thresholds.py.
-3. Trials in closed loop on validation episodes: that gamma times each factor with the first beta, then the best with the
-   other betas; what switches right most often is taken.
+3. Trials in closed loop on validation episodes: that gamma times each factor with the first beta, then the best with
+   the other betas; what switches right most often is taken.
 
-Writes a file a detector (knn.safetensors, ...) beside the networks, after each network; the same command goes on after a
-kill, and one with more policies adds them. Exit code 2: bad input.
+Writes a file a detector (knn.safetensors, ...) beside the networks, after each network; the same command goes on after
+a kill, and one with more policies adds them. Exit code 2: bad input.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,10 +29,10 @@ from models.errors import InputError
 from systems.detectors import DETECTORS
 
 if TYPE_CHECKING:
-    from diagrams.episodes.episode import Outcome
-    from diagrams.episodes.switching import Until
     from diagrams.episodes.validation import Validation
     from models.files.detectors import StoredDetector
+
+NOTED = ("seed", "episodes", "disturbed", "trials", "factors", "betas")  # arguments that decide what is written
 
 
 @dataclass
@@ -42,9 +41,8 @@ class BaselinesArguments:
 
     policies: list[Path]  # policy files, all in one folder
     data: Path  # demonstrations of diagrams/teach.py
-    detector: list[str] = field(
-        default_factory=lambda: [name for name in DETECTORS if name != "recall"]
-    )  # or package.module:Class
+    # names of detectors, or package.module:Class
+    detector: list[str] = field(default_factory=lambda: [name for name in DETECTORS if name != "recall"])
     scenario: Path | None = None  # YAML file whose world the episodes run in
     encoder: Path = WEIGHTS / ENCODER  # autoencoder file
     episodes: int = 20  # undisturbed validation episodes, as many as calibrate.py runs
@@ -75,9 +73,7 @@ def main(arguments: BaselinesArguments) -> int:
     world = load_world(arguments.scenario)
     policies = {path: Policy(path) for path in arguments.policies}
     files = {spec: detector_file(arguments.policies[0].parent, spec) for spec in arguments.detector}
-    notes = {"data": read_header(arguments.data).content_hash} | {
-        name: getattr(arguments, name) for name in ("seed", "episodes", "disturbed", "trials", "factors", "betas")
-    }
+    notes = {"data": read_header(arguments.data).content_hash} | {name: getattr(arguments, name) for name in NOTED}
     if world != World():
         notes["world"] = dataclasses.asdict(world)
     stored = {spec: found for spec, file in files.items() if (found := _begun(file, spec, notes))}
@@ -100,34 +96,27 @@ def main(arguments: BaselinesArguments) -> int:
 
 
 def _check(arguments: BaselinesArguments) -> None:
-    for spec in arguments.detector:
-        if DETECTORS.label(spec) == "recall":
-            raise InputError("the recall is calibrated by diagrams/calibrate.py: choose another --detector")
+    if "recall" in map(DETECTORS.label, arguments.detector):
+        raise InputError("the recall is calibrated by diagrams/calibrate.py: choose another --detector")
     if not arguments.detector or not arguments.factors or not arguments.betas:
         raise InputError("detectors, factors and betas need one value at least")
-    for name, values in (("factor", arguments.factors), ("beta", arguments.betas)):
-        for value in values:
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"the {name} {value} is out of range: choose a finite one above 0")
+    for value in (*arguments.factors, *arguments.betas):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{value} is no factor of gamma and no beta: choose finite ones above 0")
     if len({path.parent.resolve() for path in arguments.policies}) != 1:
-        raise InputError(
-            "the policies lie in several folders: put them into one, their detectors' files lie beside them"
-        )
+        raise InputError("the policies lie in several folders: put them into one, where the detectors' files will be")
 
 
 def _begun(file: Path, spec: str, notes: dict[str, Any]) -> StoredDetector | None:
-    """What an earlier call left in `file`; raises InputError if it was calibrated in another way: it is not written over."""
+    """What an earlier call left in `file`; raises InputError for other notes: it is not written over."""
     from models.files.detectors import load_detector
 
     if not file.exists():
         return None
     found = load_detector(file, DETECTORS.label(spec))
-    others = [name for name in notes | {"world": None} if found.metadata.get(name) != notes.get(name)]
-    if others:
-        raise InputError(
-            f"{file} was made with other {', '.join(others)} ({', '.join(str(found.metadata.get(name)) for name in others)}): "
-            "give the same, or delete the file to calibrate anew"
-        )
+    others = {name: found.metadata.get(name) for name in (*notes, "world")}
+    if words := ", ".join(f"{name} ({value})" for name, value in others.items() if value != notes.get(name)):
+        raise InputError(f"{file} was made with other {words}: give the same, or delete the file to calibrate anew")
     return found
 
 
@@ -137,26 +126,22 @@ def _calibrate(
     """Adds to `stored` the calibration for the policy in `path`, and where it comes from."""
     from diagrams.episodes.calibration import Calibration, Controller, make_detector, never_fires
     from diagrams.episodes.thresholds import best_in_loop, by_count
-    from diagrams.episodes.validation import error_peaks_of, outcome_of
 
     criteria = make_detector(spec, policy, path.parent).GetOutputPort("errors").size()
-    off = Controller(path, spec, never_fires(criteria))
     counts = {kind: arguments.episodes if kind == "none" else arguments.disturbed for kind in DISTURBANCES}
-    # Each run ends as soon as it has shown what is asked of it: the task done, or the joints up to the disturbance's end.
-    ends: dict[str, Until] = {kind: "task" if kind == "none" else "detection" for kind in DISTURBANCES}
-    runs = validation.run(off, error_peaks_of, counts, ends)
+    runs = validation.run(Controller(path, spec, never_fires(criteria)), counts)
     found = by_count(runs.pop("none"), runs)
     print(f"{path.name}, {spec}, {found.words()}", flush=True)
+    mean = found.mean_errors.tolist()
 
-    def run_with(beta: float, gamma: float) -> Sequence[Outcome]:
-        controller = Controller(path, spec, Calibration(tuple(found.mean_errors.tolist()), beta, gamma))
-        until: dict[str, Until] = dict.fromkeys(DISTURBANCES, "switching")
-        outcomes = validation.run(controller, outcome_of, dict.fromkeys(DISTURBANCES, arguments.trials), until)
-        return [outcome for kind in DISTURBANCES for outcome in outcomes[kind]]
+    def switched_right(beta: float, gamma: float) -> list[bool]:
+        controller = Controller(path, spec, Calibration(tuple(mean), beta, gamma))
+        trials = validation.run(controller, dict.fromkeys(DISTURBANCES, arguments.trials), "switching")
+        return [run.outcome.switch_success for kind in DISTURBANCES for run in trials[kind]]
 
-    beta, gamma, trials = best_in_loop(found.gamma, arguments.factors, arguments.betas, run_with)
+    beta, gamma, trials = best_in_loop(found.gamma, arguments.factors, arguments.betas, switched_right)
     print(f"{path.name}, {spec}: beta {beta:g}, gamma {gamma:.1f}", flush=True)
-    stored.calibrations[policy.hash] = {"mean_errors": found.mean_errors.tolist(), "beta": beta, "gamma": gamma}
+    stored.calibrations[policy.hash] = {"mean_errors": mean, "beta": beta, "gamma": gamma}
     peaks = {"normal": found.normal.tolist()} | {kind: peaks.tolist() for kind, peaks in found.disturbed.items()}
     stored.metadata[policy.hash] = {"policy": path.name, "peaks": peaks, "trials": trials}
 

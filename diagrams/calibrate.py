@@ -3,8 +3,7 @@
     python diagrams/calibrate.py --candidates runs/lstm/policy-*.safetensors --out models/weights/lstm.safetensors
 
 1. Each candidate runs undisturbed validation episodes with the detector off; those that finish most go on.
-2. References and gamma come from those runs and from disturbed ones, detector off: see by_spread in
-   diagrams/episodes/thresholds.py.
+2. References and gamma come from those runs and from disturbed ones: see by_spread in diagrams/episodes/thresholds.py.
 3. If several go on, the one that finishes most disturbed validation episodes with its calibration (then: fastest
    undisturbed) is taken.
 
@@ -15,7 +14,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import tyro
 
@@ -50,62 +48,49 @@ def main(arguments: CalibrateArguments) -> int:
     require_writable(arguments.out)
     from diagrams.episodes.calibration import Calibration, Controller, never_fires
     from diagrams.episodes.pool import Pool
-    from diagrams.episodes.thresholds import Thresholds, by_spread
-    from diagrams.episodes.validation import Validation, outcome_of, recall_peaks_of, tally
+    from diagrams.episodes.thresholds import by_spread
+    from diagrams.episodes.validation import Validation, tally
     from diagrams.world.scenario import load_world
     from models.files.weights import load_policy, save_policy
     from models.inference import Policy
 
     world = load_world(arguments.scenario)
     off = {path: Controller(path, calibration=never_fires(Policy(path).horizon + 1)) for path in arguments.candidates}
-    tallies: dict[Path, dict[str, Any]] = {}
-    disturbed = dict.fromkeys("AB", arguments.disturbed)
+    counts = dict.fromkeys("AB", arguments.disturbed)
     with Pool(arguments.workers) as pool:
         validation = Validation(pool, world, arguments.encoder, arguments.seed)
-        undisturbed = {}
+        undisturbed, tallies = {}, {}
         for path, controller in off.items():
-            found = validation.run(controller, recall_peaks_of, {"none": arguments.episodes}, {"none": "task"})
-            undisturbed[path] = found["none"]
-            tallies[path] = {"none": tally(f"{path.name}, none", [run.outcome for run in found["none"]])}
+            undisturbed[path] = validation.run(controller, {"none": arguments.episodes})["none"]
+            tallies[path] = {"none": tally(f"{path.name}, none", undisturbed[path])}
         most = max(entry["none"]["successes"] for entry in tallies.values())
         if not most:
-            raise InputError(
-                f"no candidate finished one of {arguments.episodes} tasks: train longer before calibrating"
-            )
+            raise InputError(f"no candidate finished one of {arguments.episodes} tasks: train longer, then calibrate")
         finalists = [path for path, entry in tallies.items() if entry["none"]["successes"] == most]
-        scores: dict[Path, tuple[int, float]] = {}
-        calibrated: dict[Path, Thresholds] = {}
+        scores, found = {}, {}
         for path in finalists:
-            found = validation.run(off[path], recall_peaks_of, disturbed, dict.fromkeys("AB", "detection"))
-            thresholds = calibrated[path] = by_spread(undisturbed[path], found)
+            thresholds = found[path] = by_spread(undisturbed[path], validation.run(off[path], counts))
             print(f"{path.name}, {thresholds.words()}", flush=True)
-            recoveries = 0
             if len(finalists) > 1:
                 calibration = Calibration(tuple(thresholds.reference_errors), BETA, thresholds.gamma)
-                outcomes = validation.run(
-                    Controller(path, calibration=calibration), outcome_of, disturbed, dict.fromkeys("AB", "task")
-                )
-                tallies[path] |= {kind: tally(f"{path.name}, {kind}", runs) for kind, runs in outcomes.items()}
-                recoveries = sum(tallies[path][kind]["successes"] for kind in outcomes)
+                disturbed = validation.run(Controller(path, calibration=calibration), counts, "task")
+                tallies[path] |= {kind: tally(f"{path.name}, {kind}", runs) for kind, runs in disturbed.items()}
+            recoveries = sum(entry["successes"] for kind, entry in tallies[path].items() if kind != "none")
             scores[path] = recoveries, -tallies[path]["none"]["mean_seconds"]
-    chosen = max(scores, key=lambda path: scores[path])
-    thresholds, stored = calibrated[chosen], load_policy(chosen)
+    chosen = max(finalists, key=lambda path: scores[path])
+    thresholds, stored = found[chosen], load_policy(chosen)
     notes = {
         "chosen": chosen.name,
         "selection": {f"{path.parent.name}/{path.name}": entry for path, entry in tallies.items()},
-        "validation_seed": validation.seeds(1)[0],
+        "validation_seed": undisturbed[chosen][0].outcome.seed,
         "normal_peaks": thresholds.normal.tolist(),
         "disturbed_peaks": {kind: peaks.tolist() for kind, peaks in thresholds.disturbed.items()},
     }
-    calibrated_policy = replace(
-        stored,
-        mean_errors=thresholds.mean_errors,
-        reference_errors=thresholds.reference_errors,
-        beta=BETA,
-        gamma=thresholds.gamma,
-        metadata={**stored.metadata, "calibration": notes},
-    )
-    save_policy(arguments.out, calibrated_policy)
+    calibrated = replace(
+        stored, mean_errors=thresholds.mean_errors, reference_errors=thresholds.reference_errors, beta=BETA,
+        gamma=thresholds.gamma, metadata={**stored.metadata, "calibration": notes},
+    )  # fmt: skip
+    save_policy(arguments.out, calibrated)
     print(f"{chosen.name} is taken; written: {arguments.out}")
     return 0
 

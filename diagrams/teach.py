@@ -2,8 +2,8 @@
 
     python diagrams/teach.py --out demonstrations.h5
 
-Each demonstration is subtask 1 followed by subtask 2, in physics, for one grid position and one vacant spot. A killed run
-goes on where it stopped; the same seed gives the same content. Exit code 0: all succeeded; 1: some failed; 2: bad input.
+Each demonstration is subtask 1 followed by subtask 2, in physics, for one grid position and one vacant spot. A killed
+run goes on where it stopped; the same seed gives the same content. Exit code 1: a demonstration failed; 2: bad input.
 """
 
 from __future__ import annotations
@@ -72,16 +72,15 @@ def main(arguments: TeachArguments) -> int:
         "initial_posture": world.initial_posture,
         "period": world.timing.period,
         "posture_names": json.dumps([f"joint_{j + 1}" for j in range(ARM_JOINTS)] + ["opening"]),
-        "seed": arguments.seed,
     }
     with Pool(arguments.workers) as pool, RecordingFile(arguments.out, settings, attributes) as file:
-        missing = [(world, setup) for setup in todo if setup.index not in file]
+        missing = [(world, setup) for setup in todo if setup.name not in file]
         done = len(todo) - len(missing)
         recordings = pool.run(demonstrate, missing)
         for _, recording in tqdm(recordings, total=len(todo), initial=done, unit="demo", desc="teaching"):
             file.add(recording)
-        failed = file.finish([setup.index for setup in todo])
-        print(f"{len(todo) - len(failed)} of {len(todo)} demonstrations succeeded; content {file.content_hash[:16]}")
+        content, failed = file.finish([setup.name for setup in todo])
+    print(f"{len(todo) - len(failed)} of {len(todo)} demonstrations succeeded; content {content[:16]}")
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
     return 1 if failed else 0

@@ -20,7 +20,7 @@ from models.data.recording import Recording
 class Setup:
     """What one demonstration starts from."""
 
-    index: int
+    name: str  # of the demonstration
     grid_index: tuple[int, int]  # of the can to pick
     vacant: str
     turn: float  # of the can to pick about its axis, rad
@@ -29,10 +29,10 @@ class Setup:
 
 def setups(world: World, seed: int) -> list[Setup]:
     """All positions times both spots, in a fixed order; `seed` samples the rest."""
-    turns = np.random.default_rng(seed).uniform(-np.pi, np.pi, 2 * world.grid.count**2)
-    cells = [(i, j) for i in range(world.grid.count) for j in range(world.grid.count)]
-    places = [(cell, vacant) for cell in cells for vacant in SPOTS]
-    return [Setup(n, cell, vacant, float(turns[n]), (seed, n)) for n, (cell, vacant) in enumerate(places)]
+    side = range(world.grid.count)
+    places = [((i, j), vacant) for i in side for j in side for vacant in SPOTS]
+    turns = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(places))
+    return [Setup(f"demo_{n}", cell, vacant, float(turns[n]), (seed, n)) for n, (cell, vacant) in enumerate(places)]
 
 
 class Teacher:
@@ -79,7 +79,7 @@ class Teacher:
         place, neighbour = station.spot(setup.vacant), station.spot(other_spot(setup.vacant))
         cans, posture = (station.GetOutputPort(port).Eval(context) for port in ("can_poses", "posture"))
         return Recording(
-            index=setup.index,
+            name=setup.name,
             rgb=np.array(images),
             posture=np.array(postures),
             actions=actions,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from models.data.demonstrations import Demonstration
 from models.errors import InputError
 
 LAYOUT_VERSION = 2
@@ -21,18 +23,17 @@ _ARRAYS = {"obs/rgb": "rgb", "obs/posture": "posture", "actions": "actions"}  # 
 
 
 @dataclass(frozen=True)
-class Recording:
-    """One demonstration as it is written; T ticks."""
+class Recording(Demonstration):
+    """A demonstration as the teacher gives it; its name is demo_ and a number.
 
-    index: int
-    rgb: np.ndarray  # (T, height, width, 3) uint8
-    posture: np.ndarray  # (T, 8) measured joints (rad) and commanded opening (m)
-    actions: np.ndarray  # (T, 8) commanded next posture
-    can_xy: np.ndarray  # (2,) m, world
-    vacant: str  # left or right
-    grid_index: tuple[int, int]  # of the can
-    subtask_starts: tuple[int, ...]  # first tick of each subtask
-    split: str  # of SPLITS
+    Attributes:
+        rgb: (T, height, width, 3) uint8, what the camera saw.
+        grid_index: of the can.
+        success: the task was done.
+    """
+
+    rgb: np.ndarray
+    grid_index: tuple[int, int]
     success: bool
 
 
@@ -49,28 +50,21 @@ class RecordingFile:
             settings: plain types that decide the content; a file with others is refused, untouched.
             attributes: of the whole file.
 
-        Raises InputError where it cannot be written, is in use, damaged, or not a recording with these settings.
+        Raises InputError where it cannot be written, is in use or damaged, or is no recording with these settings.
         """
-        self._settings = settings | {"layout": LAYOUT_VERSION}
-        text = json.dumps(self._settings, sort_keys=True)
-        if path.exists():
-            with _open(path, "r") as file:  # first without touching it: it may be anybody's
-                self._require_same(path, file)
-        else:
-            # Begun under another name, so that a kill leaves no half of a file.
-            begun = path.with_name(f"{path.name}.part")
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
+        with _named(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if not path.exists():  # begun under another name: a kill leaves no half of a file
+                begun = path.with_name(f"{path.name}.part")
                 with h5py.File(begun, "w") as file:
                     file.create_group("data").attrs["env_args"] = text
                 begun.replace(path)
-            except OSError as error:
-                reason = os.strerror(error.errno) if error.errno else str(error)
-                raise InputError(f"{path} cannot be written ({reason}): choose another --out") from error
-        self._file = _open(path, "r+")
+            with h5py.File(path, "r") as file:  # first without touching it: it may be anybody's
+                _require_same(path, file, json.loads(text))
+            self._file = h5py.File(path, "r+")
         self._data = self._file["data"]
         self._data.attrs.update(attributes)
-        self._file.flush()
 
     def __enter__(self) -> RecordingFile:
         return self
@@ -78,12 +72,12 @@ class RecordingFile:
     def __exit__(self, *error: object) -> None:
         self._file.close()
 
-    def __contains__(self, index: int) -> bool:
-        return f"demo_{index}" in self._data
+    def __contains__(self, name: str) -> bool:
+        return name in self._data
 
     def add(self, recording: Recording) -> None:
         """Writes one demonstration; it is whole in the file when this returns."""
-        partial = f"partial_{recording.index}"
+        partial = f"partial_{recording.name}"
         if partial in self._file:  # left by a kill in the middle of a write
             del self._file[partial]
         group = self._file.create_group(partial)
@@ -94,41 +88,26 @@ class RecordingFile:
         group.attrs["num_samples"] = len(recording.actions)
         for name in ("can_xy", "vacant", "grid_index", "subtask_starts", "split", "success"):
             group.attrs[name] = getattr(recording, name)
-        self._file.move(partial, f"data/demo_{recording.index}")
+        self._file.move(partial, f"data/{recording.name}")
         self._file.flush()
 
-    def finish(self, indices: Sequence[int]) -> list[str]:
-        """Lists those demonstrations in the mask, with their total and content hash; returns the names of those that failed."""
-        names, data = [f"demo_{index}" for index in indices], self._data
+    def finish(self, names: Sequence[str]) -> tuple[str, list[str]]:
+        """Lists those demonstrations in the mask; returns the content hash, and the names of those that failed."""
+        data = self._data
         if "mask" in self._file:
             del self._file["mask"]
         for split in SPLITS:
             self._file[f"mask/{split}"] = np.array([n.encode() for n in names if data[n].attrs["split"] == split])
         data.attrs["total"] = int(sum(data[n].attrs["num_samples"] for n in names))
         data.attrs["content_hash"] = content_hash(self._file)
-        self._file.flush()
-        return [name for name in names if not data[name].attrs["success"]]
-
-    @property
-    def content_hash(self) -> str:
-        """Of the finished file."""
-        return str(self._data.attrs["content_hash"])
-
-    def _require_same(self, path: Path, file: h5py.File) -> None:
-        try:
-            found = json.loads(file["data"].attrs["env_args"])
-            others = [name for name, value in self._settings.items() if found[name] != json.loads(json.dumps(value))]
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path} is no recording of diagrams/teach.py: choose another --out") from error
-        if others:
-            raise InputError(
-                f"{path} was recorded with another {' and another '.join(others)}: delete it, or choose another --out"
-            )
+        return data.attrs["content_hash"], [name for name in names if not data[name].attrs["success"]]
 
 
 def content_hash(file: h5py.File) -> str:
-    """SHA-256 over arrays and attributes of the demonstrations in the mask, in the order of their numbers: equal for equal
-    content, however it was written."""
+    """SHA-256 of the demonstrations in the mask, arrays and attributes, in the order of their numbers.
+
+    Equal for equal content, however it was written.
+    """
     digest = hashlib.sha256()
     listed = [name.decode() for split in SPLITS for name in file[f"mask/{split}"][()]]
     for name in sorted(listed, key=lambda n: int(n.split("_")[1])):
@@ -141,16 +120,26 @@ def content_hash(file: h5py.File) -> str:
     return digest.hexdigest()
 
 
-def _open(path: Path, mode: str) -> h5py.File:
+def _require_same(path: Path, file: h5py.File, settings: dict[str, Any]) -> None:
     try:
-        return h5py.File(path, mode)
+        found = json.loads(file["data"].attrs["env_args"])
+        others = [name for name, value in settings.items() if found[name] != value]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path} is no recording of diagrams/teach.py: choose another --out") from error
+    if others:
+        words = " and another ".join(others)
+        raise InputError(f"{path} was recorded with another {words}: delete it, or choose another --out")
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """What goes wrong with the file in the block is an InputError."""
+    try:
+        yield
     except OSError as error:
+        wrong, remedy = f"cannot be written ({os.strerror(error.errno or 0)})", "choose another --out"
         if isinstance(error, BlockingIOError) or "already open" in str(error):
-            raise InputError(
-                f"{path} is in use by another program: wait for its end, or choose another --out"
-            ) from error
-        if error.errno:
-            raise InputError(f"{path} cannot be opened ({os.strerror(error.errno)}): choose another --out") from error
-        raise InputError(
-            f"{path} cannot be opened as HDF5 ({error}): if a kill in the middle of a write broke it, delete it"
-        ) from error
+            wrong, remedy = "is in use by another program", "wait for its end, or choose another --out"
+        elif not error.errno:
+            wrong, remedy = f"is no HDF5 ({error})", "if a kill in the middle of a write broke it, delete it"
+        raise InputError(f"{path} {wrong}: {remedy}") from error

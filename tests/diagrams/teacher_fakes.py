@@ -9,7 +9,7 @@ def recording(index=0, ticks=40, **changes):
     """Made up from the index."""
     rng = np.random.default_rng(index)
     given = {
-        "index": index,
+        "name": f"demo_{index}",
         "rgb": rng.integers(0, 255, (ticks, 112, 112, 3), np.uint8),
         "posture": rng.normal(size=(ticks, 8)),
         "actions": rng.normal(size=(ticks, 8)),
@@ -26,4 +26,4 @@ def recording(index=0, ticks=40, **changes):
 def demonstrate(job):
     """In the place of diagrams.teach.demonstrate."""
     _, setup = job
-    return recording(setup.index, can_xy=np.array([setup.turn, 0.0]))
+    return recording(int(setup.name[5:]), can_xy=np.array([setup.turn, 0.0]))

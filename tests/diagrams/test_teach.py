@@ -61,7 +61,7 @@ from diagrams import teach
 from tests.diagrams import teacher_fakes
 
 def demonstrate(job):
-    if job[1].index == 3:
+    if job[1].name == "demo_3":
         signal.raise_signal(signal.SIGKILL)
     return teacher_fakes.demonstrate(job)
 
@@ -85,15 +85,14 @@ def test_pictures_are_not_kept_in_memory(fake, tmp_path, monkeypatch, workers):
         alive.append(sum(kept() is not None for kept in written))
 
     monkeypatch.setattr(RecordingFile, "add", add)
-    monkeypatch.setattr(RecordingFile, "finish", lambda *_: [])
-    monkeypatch.setattr(RecordingFile, "content_hash", "")
+    monkeypatch.setattr(RecordingFile, "finish", lambda *_: ("", []))
     teach.main(arguments(tmp_path / "y.h5", workers=workers, limit=10))
     assert len(alive) == 10
     assert max(alive) <= 2  # the one that is written, and the one that the loop still names
 
 
 def test_a_demonstration_that_fails_is_named(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(teach, "demonstrate", lambda job: teacher_fakes.recording(job[1].index, success=False))
+    monkeypatch.setattr(teach, "demonstrate", lambda job: teacher_fakes.recording(int(job[1].name[5:]), success=False))
     assert teach.main(arguments(tmp_path / "y.h5", limit=2)) == 1
     said = capsys.readouterr()
     assert "0 of 2 demonstrations succeeded" in said.out
@@ -158,7 +157,7 @@ def test_layout_is_robomimics(recorded):
     with h5py.File(recorded) as file:
         data = file["data"]
         assert data.attrs["total"] == 2 * TICKS
-        assert json.loads(data.attrs["env_args"])["seed"] == data.attrs["seed"] == 0
+        assert json.loads(data.attrs["env_args"])["seed"] == 0
         assert data.attrs["initial_posture"] == pytest.approx(World().initial_posture)
         assert data.attrs["period"] == 0.1
         assert json.loads(data.attrs["posture_names"]) == [*(f"joint_{j}" for j in range(1, 8)), "opening"]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diagrams.episodes.thresholds import (
-    ErrorPeaks,
+    ValidationRun,
     by_count,
     by_spread,
     middle_of_spreads,
@@ -23,7 +23,7 @@ PEAKS = st.lists(st.floats(1e-3, 1e3), min_size=2, max_size=8).map(np.array)
 
 def run(kind, success, normal, disturbed=(), active=0):
     made_up = record(normal, disturbed, active)
-    return ErrorPeaks.of(replace(OUTCOME, disturbance=kind, success=success), made_up, made_up.errors)
+    return ValidationRun.of(replace(OUTCOME, disturbance=kind, success=success), made_up, made_up.errors)
 
 
 def test_peaks_of_a_run():

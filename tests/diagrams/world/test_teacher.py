@@ -11,7 +11,7 @@ def test_all_positions_times_both_spots(world):
     given = setups(world, 0)
     assert len(given) == 200
     assert len({(setup.grid_index, setup.vacant) for setup in given}) == 200
-    assert [setup.index for setup in given] == [*range(200)]
+    assert [setup.name for setup in given] == [f"demo_{n}" for n in range(200)]
     assert setups(world, 0) == given
     assert [setup.turn for setup in setups(world, 1)] != [setup.turn for setup in given]
 

@@ -17,14 +17,17 @@ SETTINGS = {"world": {"corner": (0.44, -0.09)}, "seed": 0}
 ATTRIBUTES = {"initial_posture": np.arange(8.0), "period": 0.1, "seed": 0}
 
 
+def names(indices):
+    return [f"demo_{index}" for index in indices]
+
+
 def record(path, indices, settings=SETTINGS, **changes):
     """Adds what is missing of `indices`; the content hash."""
     with RecordingFile(path, settings, ATTRIBUTES) as file:
         for index in indices:
-            if index not in file:
+            if f"demo_{index}" not in file:
                 file.add(recording(index, **changes))
-        file.finish(indices)
-        return file.content_hash
+        return file.finish(names(indices))[0]
 
 
 def test_what_is_written_is_what_is_read(tmp_path):
@@ -48,7 +51,7 @@ def test_those_that_failed_are_named(tmp_path):
     with RecordingFile(tmp_path / "y.h5", SETTINGS, ATTRIBUTES) as file:
         for index in range(3):
             file.add(recording(index, success=index != 1))
-        assert file.finish(range(3)) == ["demo_1"]
+        assert file.finish(names(range(3)))[1] == ["demo_1"]
 
 
 def test_the_hash_is_that_of_what_is_listed(tmp_path):
@@ -69,7 +72,7 @@ def test_the_order_of_writing_does_not_matter(tmp_path):
     with RecordingFile(tmp_path / "y.h5", SETTINGS, ATTRIBUTES) as file:
         for index in (2, 10, 0):
             file.add(recording(index))
-        file.finish((0, 2, 10))
+        file.finish(names((0, 2, 10)))
     assert read_header(tmp_path / "y.h5").content_hash == record(tmp_path / "x.h5", (0, 2, 10))
 
 
@@ -88,7 +91,7 @@ def test_a_write_that_breaks_off_is_done_again(tmp_path):
     ("settings", "named"),
     [
         (SETTINGS | {"seed": 1}, r"another seed: delete it"),
-        ({"world": {"corner": (0.5, 0.0)}, "seed": 1}, "another world and another seed"),
+        ({"world": {"corner": (0.5, 0.0)}, "seed": 1}, "another seed and another world"),
     ],
 )
 def test_other_settings_are_refused(tmp_path, settings, named):
@@ -116,9 +119,9 @@ def test_a_file_of_someone_else_is_refused_untouched(tmp_path, env_args):
 def test_a_damaged_file_is_named(tmp_path):
     path = tmp_path / "broken.h5"
     path.write_bytes(b"no HDF5")
-    with pytest.raises(InputError, match=r"broken\.h5 cannot be opened as HDF5 .* delete it"):
+    with pytest.raises(InputError, match=r"broken\.h5 is no HDF5 .* delete it"):
         record(path, [0])
-    with pytest.raises(InputError, match=r"cannot be opened \(Is a directory\)"):
+    with pytest.raises(InputError, match=r"cannot be written \(Is a directory\)"):
         record(tmp_path, [0])
     with pytest.raises(InputError, match=r"/dev/null/y\.h5 cannot be written"):
         record(type(path)("/dev/null/y.h5"), [0])
