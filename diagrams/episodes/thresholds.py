@@ -27,9 +27,9 @@ class ValidationRun:
     after: np.ndarray | None  # (E,) largest from the onset to the end of the disturbance + 5 ticks; None: no onset
 
     @classmethod
-    def of(cls, outcome: Outcome, record: Record, errors: np.ndarray) -> ValidationRun:
-        """`errors`: (n, E) of the run."""
-        before, after = (errors[ticks] for ticks in stretches(record))
+    def of(cls, outcome: Outcome, record: Record) -> ValidationRun:
+        """What came of `record`."""
+        before, after = (record.errors[ticks] for ticks in stretches(record))
         largest = (part.max(axis=0) if len(part) else None for part in (before, after))
         return cls(outcome, len(before), before.sum(axis=0), *largest)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.episodes.calibration import RECALL, Controller
+from diagrams.episodes.calibration import Controller
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.runner import Job, run_episode
@@ -56,10 +56,8 @@ class Validation:
 
 
 def run_validation(job: Job) -> ValidationRun:
-    """Runs one in a worker. Errors are raw: l_n of the recall; of another detector, those of references that are 1."""
-    outcome, record = run_episode(job)
-    recall = DETECTORS.label(job.controller.detector) == RECALL
-    return ValidationRun.of(outcome, record, record.squared_errors if recall else record.errors)
+    """Runs one in a worker; its errors are raw, l_n, where the detector's references are 1."""
+    return ValidationRun.of(*run_episode(job))
 
 
 def tally(words: str, runs: Sequence[ValidationRun]) -> dict[str, Any]:

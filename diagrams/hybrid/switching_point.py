@@ -21,21 +21,20 @@ import numpy as np
 import torch
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.episodes.calibration import COMPONENT_WEIGHTS
-from diagrams.world.configuration import World
+from diagrams.episodes.rollout import controller_limits
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT
-from diagrams.world.station import PickPlaceStation, controller_limits
+from diagrams.world.scenario import World
+from diagrams.world.station import ARM_JOINTS, CAN_HALF_HEIGHT, PickPlaceStation
 from diagrams.world.trajectory import SUBTASK_STEPS, commands, subtask_waypoints
 from models.errors import InputError
 from models.files.weights import StoredPolicy
 from models.networks.rnn import RecurrentNetwork
-from systems.alpha_mixer import AlphaMixer
+from systems.detector import alpha_of
 from systems.image_encoder import ImageEncoder
-from systems.posture_regulator import make_posture_regulator
+from systems.recall_detector import recall_errors
+from systems.regulated_mixer import RegulatedMixer
 
 NEWTON_STEPS = 60
 RESIDUAL = 1e-11  # largest component of F(z) - z at a fixed point, scaled units
@@ -102,6 +101,9 @@ class OneTickMap:
         self._law_context = self._law.CreateDefaultContext()
         self._law_ad = self._law.ToAutoDiffXd()
         self._law_ad_context = self._law_ad.CreateDefaultContext()
+        for law, context in ((self._law, self._law_context), (self._law_ad, self._law_ad_context)):
+            for port in ("alpha", "last_alphas"):
+                law.GetInputPort(port).FixValue(context, np.zeros(1))
 
     def join(self, hidden: np.ndarray, posture: np.ndarray) -> np.ndarray:
         """z (S + 8,) of a hidden state (S,) and a scaled posture (8,)."""
@@ -158,38 +160,21 @@ class OneTickMap:
         return gradient[:, :size], gradient[:, size:]
 
 
-def _law(world: World, stored: StoredPolicy) -> Diagram:
-    """Mixer and regulator, scaled, under alpha = 0; inputs posture and predicted_posture, output desired_posture."""
+def _law(world: World, stored: StoredPolicy) -> RegulatedMixer:
+    """Regulator and mixer, scaled."""
     scaling, size = stored.scaling, stored.rnn.posture_size
     lower, upper, speed = controller_limits(PickPlaceStation(world, camera=False))
-    builder = DiagramBuilder()
-    regulator = builder.AddSystem(
-        make_posture_regulator(
-            posture_size=size,
-            joints=ARM_JOINTS,
-            initial_posture=scaling.scale(stored.initial_posture),
-            Q=world.regulator.state_weight,
-            R=world.regulator.input_weight,
-            period=world.timing.period,
-        )
+    return RegulatedMixer(
+        posture_size=size,
+        joints=ARM_JOINTS,
+        initial_posture=scaling.scale(stored.initial_posture),
+        Q=world.regulator.state_weight,
+        R=world.regulator.input_weight,
+        period=world.timing.period,
+        lower=scaling.scale(lower),
+        upper=scaling.scale(upper),
+        max_step=speed * world.timing.period / scaling.half_range,
     )
-    mixer = builder.AddSystem(
-        AlphaMixer(
-            posture_size=size,
-            lower=scaling.scale(lower),
-            upper=scaling.scale(upper),
-            max_step=speed * world.timing.period / scaling.half_range,
-        )
-    )
-    alpha = builder.AddSystem(ConstantVectorSource(np.zeros(1)))
-    builder.ExportInput(mixer.GetInputPort("posture"), "posture")
-    builder.ConnectInput("posture", regulator.GetInputPort("posture"))
-    builder.ExportInput(mixer.GetInputPort("predicted_posture"), "predicted_posture")
-    builder.Connect(regulator.GetOutputPort("step"), mixer.GetInputPort("regulator_step"))
-    for port in ("alpha", "last_alphas"):
-        builder.Connect(alpha.get_output_port(), mixer.GetInputPort(port))
-    builder.ExportOutput(mixer.GetOutputPort("desired_posture"), "desired_posture")
-    return builder.Build()
 
 
 @dataclass(frozen=True)
@@ -328,8 +313,8 @@ def _alpha(stored: StoredPolicy, z: np.ndarray, size: int) -> float | None:
     # At rest the prediction is what the regulator pulls against (n = 0).
     pull = stored.regulator_gain * (z[-size:] - stored.scaling.scale(stored.initial_posture))
     offsets = np.vstack((pull, recalled - z[-size:]))
-    worst = float(np.max(np.average(offsets**2, axis=1, weights=COMPONENT_WEIGHTS) / stored.reference_errors))
-    return float(1.0 / (1.0 + np.exp(np.clip(-stored.beta * (worst - stored.gamma), -700.0, 700.0))))
+    errors = recall_errors(offsets, ARM_JOINTS, np.array(stored.reference_errors))
+    return float(alpha_of(errors, stored.beta, stored.gamma))
 
 
 def save_spectra(cases: list[tuple[str, dict]], path: Path) -> None:

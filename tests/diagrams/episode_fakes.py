@@ -25,4 +25,4 @@ def record(normal, disturbed=(), active=0):
     """Errors (n, E) before the onset, and from it on, where the disturbance lasts for `active` ticks."""
     errors = np.array([*normal, *disturbed], float)
     ticks = np.arange(len(errors)) - len(normal)
-    return SimpleNamespace(errors=errors, squared_errors=errors, active=((ticks >= 0) & (ticks < active)).astype(float))
+    return SimpleNamespace(errors=errors, active=((ticks >= 0) & (ticks < active)).astype(float))

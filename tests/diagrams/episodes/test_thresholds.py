@@ -22,8 +22,7 @@ PEAKS = st.lists(st.floats(1e-3, 1e3), min_size=2, max_size=8).map(np.array)
 
 
 def run(kind, success, normal, disturbed=(), active=0):
-    made_up = record(normal, disturbed, active)
-    return ValidationRun.of(replace(OUTCOME, disturbance=kind, success=success), made_up, made_up.errors)
+    return ValidationRun.of(replace(OUTCOME, disturbance=kind, success=success), record(normal, disturbed, active))
 
 
 def test_peaks_of_a_run():

@@ -34,7 +34,7 @@ def record(alpha):
         time=0.1 * np.arange(n), posture=rng.normal(size=(n, 8)), rnn_step=rng.normal(size=(n, 8)),
         regulator_step=np.zeros((n, 8)), desired_posture=np.zeros((n, 8)), alpha=np.array(alpha, float),
         errors=np.ones((n, 11)), hidden_state=np.full((n, 4), 0.5), features=np.zeros((n, 3)),
-        active=np.zeros(n, bool), can_poses=np.zeros((n, 14)), squared_errors=np.zeros((n, 11)),
+        active=np.zeros(n, bool), can_poses=np.zeros((n, 14)),
         events=[(0.1, "something")],
     )  # fmt: skip
 

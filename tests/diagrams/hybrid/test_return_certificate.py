@@ -87,7 +87,7 @@ def test_command_of_the_loop_is_the_regulators(loop, world):
     local = history.GetMyMutableContextFromRoot(context)
     posture = world.initial_posture + np.array([0.2, -0.1, 0.0, 0.1, 0.3, -0.2, 0.1, -0.05])
     local.SetDiscreteState(0, posture)
-    mixer = loop.diagram.GetSubsystemByName("alpha_mixer")
+    mixer = loop.diagram.GetSubsystemByName("regulated_mixer")
     command = mixer.GetOutputPort("desired_posture").Eval(mixer.GetMyContextFromRoot(context))
     assert command[:7] == pytest.approx((posture - 0.1 * (posture - world.initial_posture))[:7], abs=1e-9)
     assert command[7] == posture[7]  # the fingers keep their command
