@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -65,6 +66,18 @@ def require_checkout() -> None:
         raise InputError(
             f"{ROOT} holds neither sdf/ nor the weights: install with `pip install -e .`, in an environment of its own"
         )
+
+
+def require_writable(path: Path) -> None:
+    """Raises InputError unless the file `path` can be written, before work is done for it; what is there is left as it is."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            path.open("ab").close()
+        else:
+            tempfile.TemporaryFile(dir=path.parent).close()
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}): choose another name") from error
 
 
 def _bad_input(words: str) -> int:

@@ -21,7 +21,7 @@ from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, save_scenario
 from models.errors import InputError
 from models.files.weights import load_policy, save_policy
-from tests.diagrams.test_calibrate import OUTCOME
+from tests.diagrams.episode_fakes import OUTCOME
 
 PNG = b"\x89PNG\r\n\x1a\n"
 SCENE = Episode(5, (0.555, -0.041), "left")
