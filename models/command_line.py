@@ -69,7 +69,10 @@ def require_checkout() -> None:
 
 
 def require_writable(path: Path) -> None:
-    """Raises InputError unless the file `path` can be written, before work is done for it; what is there is left as it is."""
+    """Raises InputError unless the file `path` can be written, before work is done for it.
+
+    What is there is left as it is.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
