@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from diagrams.episodes.compatibility import facts
 from diagrams.episodes.pool import Pool, kept_in_thread
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
@@ -71,6 +72,7 @@ def main(arguments: TeachArguments) -> int:
     attributes = {
         "initial_posture": world.initial_posture,
         "period": world.timing.period,
+        "world": json.dumps(facts(world)),
         "posture_names": json.dumps([f"joint_{j + 1}" for j in range(ARM_JOINTS)] + ["opening"]),
     }
     with Pool(arguments.workers) as pool, RecordingFile(arguments.out, settings, attributes) as file:

@@ -140,6 +140,8 @@ def test_the_scenario_s_world_is_taught(fake, tmp_path):
     with h5py.File(path) as file:
         assert len(file["data"]) == 2 * 2 * 2
         assert file["data"].attrs["period"] == 0.2
+    assert read_header(path).world == {"period": 0.2, "camera": [112, 112, 43.0], "closed_opening": 0.03}
+    with h5py.File(path) as file:
         assert json.loads(file["data"].attrs["env_args"])["world"]["grid"]["count"] == 2
     with pytest.raises(InputError, match="another world"):
         teach.main(arguments(path))
