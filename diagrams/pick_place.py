@@ -76,22 +76,22 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.drawing.graph import save_graph
     from diagrams.drawing.timeline import FORMATS as PLOT_FORMATS
     from diagrams.drawing.timeline import save_timeline
-    from diagrams.episodes.calibration import make_detector, policy_name
+    from diagrams.episodes.calibration import make_detector, policy_name, stored_calibration
     from diagrams.episodes.record import save_record
     from diagrams.episodes.rollout import Rollout
     from diagrams.episodes.sampling import EpisodeSampler
     from models.inference import Encoder, Policy
 
     torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-    written = {
-        cli.replay: (".html",),
-        cli.plot: PLOT_FORMATS,
-        cli.graphviz: GRAPH_FORMATS,
-        cli.video: (".mp4",),
-        cli.json: (".json",),
-        cli.record: (".npz",),
-    }
-    written = {path: formats for path, formats in written.items() if path is not None}
+    outputs = (
+        (cli.replay, (".html",)),
+        (cli.plot, PLOT_FORMATS),
+        (cli.graphviz, GRAPH_FORMATS),
+        (cli.video, (".mp4",)),
+        (cli.json, (".json",)),
+        (cli.record, (".npz",)),
+    )
+    written = {path: formats for path, formats in outputs if path is not None}
     for path, formats in written.items():
         if path.suffix not in formats:
             raise InputError(
@@ -99,13 +99,14 @@ def main(cli: PickPlaceArguments) -> int:
             )
     episode = EpisodeSampler(cli.world).episode(cli)
     encoder, policy = Encoder(cli.weights / ENCODER), Policy(cli.weights / policy_name(cli.rnn))
+    calibration = stored_calibration(cli.detector, policy, cli.weights)
     detector = make_detector(cli.detector, policy, cli.weights)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    rollout = Rollout(cli.world, encoder, policy, detector, meshcat=meshcat, video=cli.video)
+    rollout = Rollout(cli.world, encoder, policy, detector, calibration, meshcat=meshcat, video=cli.video)
     for path in written:
         _require_writable(path)
     rollout.simulator.set_target_realtime_rate(cli.realtime_rate)

@@ -12,7 +12,7 @@ from models.errors import InputError
 
 # Which extra of pyproject.toml brings a module.
 EXTRAS = {
-    "train": ("h5py", "lightning"),
+    "train": ("h5py",),
     "sweep": ("dask", "distributed", "pandas", "pyarrow", "scipy", "sklearn"),
     "analysis": ("cmaes", "optuna"),
 }

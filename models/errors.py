@@ -2,4 +2,4 @@
 
 
 class InputError(ValueError):
-    """Input that cannot be used. The message names the value, the limit and the remedy; a program prints it and exits with 2."""
+    """Input that cannot be used. The message names value, limit and remedy; a program prints it and exits with 2."""

@@ -20,7 +20,7 @@ class Registry(Generic[T]):
     """
 
     def __init__(self, what: str, entries: dict[str, str]):
-        """`what`: "network" or "detector", for messages and the group; `entries`: ours, name to `package.module:Class`."""
+        """`what`: "network" or "detector", for messages and the group; `entries`: ours, by name."""
         self.what, self._entries = what, entries
 
     def __iter__(self) -> Iterator[str]:

@@ -4,11 +4,15 @@ import math
 
 import numpy as np
 
+from models.errors import InputError
 
-def require_count(name: str, value: int, minimum: int = 1) -> int:
-    """Returns `value` as an int; raises ValueError unless it is a whole number >= `minimum`."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:
-        raise ValueError(f"{name} is {value!r}; it must be a whole number of at least {minimum}: pass such a number.")
+
+def require_count(name: str, value: int, minimum: int = 1, maximum: int | None = None) -> int:
+    """Returns `value` as an int; raises ValueError unless it is a whole number >= `minimum`, and <= `maximum` if given."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < minimum or (maximum is not None and value > maximum):
+        limit = f"at least {minimum}" + ("" if maximum is None else f" and at most {maximum}")
+        raise ValueError(f"{name} is {value!r}; it must be a whole number of {limit}: pass such a number.")
     return int(value)
 
 
@@ -41,3 +45,11 @@ def require_bounds(lower_name: str, lower, upper_name: str, upper, size: int) ->
             f"every component: swap or widen component(s) {np.flatnonzero(lower >= upper).tolist()}."
         )
     return lower, upper
+
+
+def require_arrays(detector: str, arrays: dict, *names: str) -> None:
+    """Raises InputError unless the arrays of a detector's file have these `names`."""
+    if set(arrays) != set(names):
+        raise InputError(
+            f"the file of the detector '{detector}' holds {sorted(arrays)}, where {sorted(names)} are needed: fit it again"
+        )

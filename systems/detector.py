@@ -1,4 +1,4 @@
-"""Detection of the unlearned situation: does the network recall what the arm did (Eqs. 5 and 6)?
+"""Detection of the unlearned situation: what a detector is, and what all of ours share (Eq. 6).
 
 A detector is any system with these ports, so that another one takes its place without another change:
 
@@ -9,18 +9,43 @@ A detector is any system with these ports, so that another one takes its place w
     Outputs:
         errors: (E,) what alpha comes from, one number a criterion (E is the detector's choice), each divided by what
             is large for it on normal runs.
-        alpha: (1,) in [0, 1]; 0 on the learned way, 1 off it.
+        alpha: (1,) in [0, 1]; 0 on the learned trajectory, 1 off it.
 
 `declare_detector_inputs` declares the inputs; one that a detector doesn't need is left unread. A memory, if it needs
-one, belongs in its Context as discrete state with the tick's period.
+one, belongs in its Context as discrete state with the tick's period. Its class, which `systems.detectors.DETECTORS`
+finds by a name or as `package.module:Class`, offers beside the ports:
+
+    name: str, a short one.
+    fit(runs) -> arrays: static; what it learns from runs (T_i, J), rad, as a file keeps it: numpy arrays by name.
+    build(policy, joints, arrays) -> System: static; judges the first `joints` components, and never fires yet.
+        `policy`: see models/inference.py.
+    set_calibration(context, reference_errors, beta, gamma): of one Context; see CalibratedDetector, which has it.
 """
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
-from pydrake.systems.framework import LeafSystem_, System
-from pydrake.systems.scalar_conversion import TemplateSystem
+from pydrake.systems.framework import BasicVector_, Context, System
 
 from systems.arguments import require_count, require_positive, require_vector
-from systems.elementwise import maximum, sigmoid
+
+NEVER = 1e12  # a gamma that no error reaches
+EXPONENT = 500.0  # exp(500) is finite; 1 / (1 + exp(500)) is 0 to every purpose
+
+
+def alpha_of(errors: np.ndarray, beta, gamma):
+    """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eq. 6, of `errors` (E,); float or AutoDiffXd, no overflow for any of them."""
+    x = beta * (errors - gamma)
+    limit = np.full(x.shape, type(x[0])(EXPONENT))
+    with np.errstate(over="ignore"):  # in the square of a denominator, of which AutoDiffXd takes the inverse: 0
+        return np.max(1.0 / (1.0 + np.exp(-np.minimum(np.maximum(x, -limit), limit))))
+
+
+def sizes_of(policy) -> dict[str, int]:
+    """The policy's M, N and S as the keywords that a detector's ports are declared with."""
+    return {name: getattr(policy, name) for name in ("posture_size", "horizon", "state_size")}
 
 
 def declare_detector_inputs(system, *, posture_size: int, horizon: int, state_size: int) -> tuple:
@@ -34,7 +59,7 @@ def declare_detector_inputs(system, *, posture_size: int, horizon: int, state_si
 
 
 def check_detector(system: System, *, posture_size: int, horizon: int, state_size: int) -> None:
-    """Raises ValueError unless `system` has a detector's ports with the sizes asked for."""
+    """Raises ValueError unless `system` has a detector's ports with the sizes asked for, and `set_calibration`."""
     rows = (horizon + 1) * posture_size
     inputs = {"posture_history": rows, "recalled_postures": rows, "hidden_state": state_size}
     outputs = {"errors": None, "alpha": 1}
@@ -53,92 +78,77 @@ def check_detector(system: System, *, posture_size: int, horizon: int, state_siz
                     f"The detector's {kind} port `{name}` has size {get(name).size()}, the policy asks for {size}: "
                     "build the detector with the policy's posture_size, horizon and state_size."
                 )
+    if not hasattr(system, "set_calibration"):
+        raise ValueError(
+            f"The detector {type(system).__name__} has no method `set_calibration`: derive it from CalibratedDetector, "
+            "or write the method that the docstring of systems/detector.py names."
+        )
 
 
-@TemplateSystem.define("RecallDetector_")
-def RecallDetector_(T):
-    class Impl(LeafSystem_[T]):
-        """alpha = max_n 1 / (1 + exp(-beta (l_n / r_n - gamma))), n = 0 .. N, Eqs. 5 and 6.
+class CalibratedDetector:
+    """alpha = max_n 1 / (1 + exp(-beta (l_n / r_n - gamma))), n = 1 .. E; a subclass says what l_n is.
 
-        l_n is the squared error of the recalled against the measured posture at tick k - n, averaged over the
-        components; r_n, the reference error, says what is large for it on normal runs (the paper takes its mean). The
-        ratio (dimensionless) is our reading of the equation: with the difference in scaled units, beta = 30 leaves
-        alpha near 0.5 for ever.
+    A mixin: `class Mine(CalibratedDetector, LeafSystem)`. The subclass calls `declare_ports` in its constructor and
+    defines `calc_errors`.
 
-        .. pydrake_system::
+    r_n, the reference error, says what is large for l_n on normal runs (the paper takes its mean there). The ratio
+    (dimensionless) is our reading of the equation: with the difference in scaled units, beta = 30 leaves alpha near
+    0.5 for ever.
 
-            name: RecallDetector
-            input_ports:
-            - posture_history
-            - recalled_postures
-            - hidden_state
-            output_ports:
-            - errors
-            - alpha
+    Numeric parameters of the Context: reference_errors (E,), beta (1,), gamma (1,). In a default Context they are 1, 1
+    and NEVER: nothing fires, and `errors` are the l_n themselves, from which any detector is calibrated. A clone of a
+    Context has its values. A system converted to AutoDiffXd starts from the default ones:
+    `converted_context.SetTimeStateAndParametersFrom(context)` brings those of a Context.
+    """
 
-        Ports: see the module's docstring; errors (N + 1,): l_n / r_n; `hidden_state` is left unread.
-        Direct feedthrough of both postures; scalar-convertible.
+    @staticmethod
+    def fit(runs: list[np.ndarray]) -> dict[str, np.ndarray]:
+        """What is learned from `runs`, (T_i, J) rad each: nothing."""
+        return {}
 
-        Constructor: keywords posture_size (M); horizon (N); state_size (S); reference_errors (N + 1,), r_n > 0, scaled
-        units squared; beta > 0; gamma; component_weights (M,) >= 0 of the components in the average (default: ones).
+    def declare_ports(self: Any, sizes: dict[str, int], *, criteria: int, reads: tuple[str, ...], scalar=float) -> None:
+        """Declares a detector's ports, and its parameters.
+
+        Args:
+            sizes: posture_size, horizon, state_size of the policy.
+            criteria: E.
+            reads: names of the inputs that `calc_errors` reads.
+            scalar: of the system: float or AutoDiffXd.
         """
+        self.posture_history, self.recalled_postures, self.hidden_state = declare_detector_inputs(self, **sizes)
+        self._references, self._beta, self._gamma = (
+            self.DeclareNumericParameter(BasicVector_[scalar]([scalar(value)] * size))
+            for value, size in ((1.0, criteria), (1.0, 1), (NEVER, 1))
+        )
+        prerequisites = {self.GetInputPort(name).ticket() for name in reads} | {self.all_parameters_ticket()}
+        self._errors = self.DeclareVectorOutputPort("errors", criteria, self._write_errors, prerequisites)
+        self.DeclareVectorOutputPort("alpha", 1, self._write_alpha, prerequisites)
 
-        def _construct(
-            self,
-            *,
-            posture_size: int,
-            horizon: int,
-            state_size: int,
-            reference_errors: np.ndarray,
-            beta: float,
-            gamma: float,
-            component_weights: np.ndarray | None = None,
-            converter=None,
-        ):
-            LeafSystem_[T].__init__(self, converter=converter)
-            posture_history, recalled, _ = declare_detector_inputs(
-                self, posture_size=posture_size, horizon=horizon, state_size=state_size
+    def calc_errors(self, context: Context, reference_errors: np.ndarray) -> np.ndarray:
+        """l_n / r_n (E,), with `reference_errors` r_n (E,)."""
+        raise NotImplementedError
+
+    def set_calibration(self, context: Context, reference_errors, beta: float, gamma: float) -> None:
+        """Sets the parameters in `context`, this system's own, of floats; holds at once.
+
+        Args:
+            reference_errors: (E,) r_n > 0, unit of l_n.
+            beta: slope, > 0; gamma: what l_n / r_n must reach for alpha = 1/2. Dimensionless.
+        """
+        size = context.get_numeric_parameter(self._references).size()
+        references = require_vector("reference_errors", reference_errors, size, minimum=0.0)
+        if np.any(references == 0.0):
+            raise ValueError(
+                f"reference_errors is {references}; every component must be greater than 0, errors are divided by them: "
+                "calibrate on runs in which the arm moves."
             )
-            reference_errors = require_vector("reference_errors", reference_errors, horizon + 1, minimum=0.0)
-            if np.any(reference_errors == 0.0):
-                raise ValueError(
-                    f"reference_errors is {reference_errors}; every component must be greater than 0, errors are divided by "
-                    "them: calibrate on runs in which the arm moves."
-                )
-            if component_weights is None:
-                component_weights = np.ones(posture_size)
-            weights = require_vector("component_weights", component_weights, posture_size, minimum=0.0)
-            if not np.any(weights):
-                raise ValueError(f"component_weights is {weights}; no component would count: weight at least one.")
-            self._arguments = dict(
-                posture_size=posture_size,
-                horizon=horizon,
-                state_size=state_size,
-                reference_errors=reference_errors,
-                beta=require_positive("beta", beta),
-                gamma=float(require_vector("gamma", [gamma], 1)[0]),
-                component_weights=weights,
-            )
-            # errors = factors * squares summed over the components, one row a tick.
-            self._factors = weights / weights.sum() / reference_errors[:, None]
-            self._shape = (horizon + 1, posture_size)
-            self._beta, self._gamma = self._arguments["beta"], self._arguments["gamma"]
-            self._posture_history, self._recalled = posture_history, recalled
-            prerequisites = {posture_history.ticket(), recalled.ticket()}
-            self._errors = self.DeclareVectorOutputPort("errors", horizon + 1, self._calc_errors, prerequisites)
-            self.DeclareVectorOutputPort("alpha", 1, self._calc_alpha, prerequisites)
+        values = references, [require_positive("beta", beta)], require_vector("gamma", [gamma], 1)
+        for index, value in zip((self._references, self._beta, self._gamma), values, strict=True):
+            context.get_mutable_numeric_parameter(index).SetFromVector(value)
 
-        def _construct_copy(self, other, converter=None):
-            Impl._construct(self, **other._arguments, converter=converter)
+    def _write_errors(self, context, output):
+        output.SetFromVector(self.calc_errors(context, context.get_numeric_parameter(self._references).CopyToVector()))
 
-        def _calc_errors(self, context, output):
-            difference = self._posture_history.Eval(context) - self._recalled.Eval(context)
-            output.SetFromVector(((difference * difference).reshape(self._shape) * self._factors).sum(axis=1))
-
-        def _calc_alpha(self, context, output):
-            output[0] = maximum(sigmoid(self._beta * (self._errors.Eval(context) - self._gamma)))
-
-    return Impl
-
-
-RecallDetector = RecallDetector_[None]
+    def _write_alpha(self, context, output):
+        beta, gamma = (context.get_numeric_parameter(i)[0] for i in (self._beta, self._gamma))
+        output[0] = alpha_of(self._errors.Eval(context), beta, gamma)

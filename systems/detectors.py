@@ -1,4 +1,4 @@
-"""The one registry of detectors."""
+"""The one list of the detectors."""
 
 from models.registry import Registry
 

@@ -1,6 +1,6 @@
 """A dwell time after the switch back: the recall is not judged while the network's input turns from imagined to seen."""
 
-from pydrake.symbolic import Expression, if_then_else, logical_and, logical_or
+from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
@@ -9,7 +9,7 @@ from systems.arguments import require_count
 GUARD = 0.5  # alpha below it: the network has the arm
 
 
-@TemplateSystem.define("DwellTime_")
+@TemplateSystem.define("DwellTime_", T_list=[float, AutoDiffXd])
 def DwellTime_(T):
     class Impl(LeafSystem_[T]):
         """alpha_k of the detector, but 0 in the `dwell_ticks` ticks after the one at which alpha fell below 1/2.
@@ -33,7 +33,7 @@ def DwellTime_(T):
             last_alphas: (D,) alpha_{k-1}, ..., alpha_{k-D}, of this output.
         Outputs:
             alpha: (1,) in [0, 1].
-        Direct feedthrough; scalar-convertible.
+        Direct feedthrough; converts to AutoDiffXd.
 
         Constructor: keywords history (D); dwell_ticks (W), 0 <= W < D.
         """
@@ -41,9 +41,7 @@ def DwellTime_(T):
         def _construct(self, *, history: int, dwell_ticks: int, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)
             self._history = require_count("history", history)
-            self._ticks = require_count("dwell_ticks", dwell_ticks, 0)
-            if self._ticks >= self._history:
-                raise ValueError(f"dwell_ticks is {dwell_ticks}, history {history}: pass a number below that.")
+            self._ticks = require_count("dwell_ticks", dwell_ticks, 0, self._history - 1)
             self._alpha = self.DeclareVectorInputPort("detector_alpha", 1)
             self._last_alphas = self.DeclareVectorInputPort("last_alphas", self._history)
             both = {self._alpha.ticket(), self._last_alphas.ticket()}
@@ -54,12 +52,8 @@ def DwellTime_(T):
 
         def _calc_alpha(self, context, output):
             alpha, last = self._alpha.Eval(context), self._last_alphas.Eval(context)
-            fell = [(last[j] < GUARD, last[j + 1] >= GUARD) for j in range(self._ticks)]
-            if alpha.dtype == object and isinstance(alpha[0], Expression):
-                muted = logical_or(*[logical_and(*pair) for pair in fell]) if fell else None
-                output[0] = alpha[0] if muted is None else if_then_else(muted, Expression(0.0), alpha[0])
-            else:
-                output[0] = 0.0 * alpha[0] if any(low and high for low, high in fell) else alpha[0]
+            fell = any(last[j] < GUARD <= last[j + 1] for j in range(self._ticks))
+            output[0] = 0.0 * alpha[0] if fell else alpha[0]
 
     return Impl
 

@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from models.data.windows import decode_runs, encode_runs, posture_windows
+from systems.arguments import require_arrays
 from systems.window_detector import WindowDetector
 
 
 class KnnDetector(WindowDetector):
-    """a_j = min_i || q_j - x_ij ||, the Euclidean distance to the nearest training window of joint j.
+    """a_j = min_i || q_j - x_ij ||, the Euclidean distance to the nearest training window of joint j, rad.
 
     .. pydrake_system::
 
@@ -22,20 +24,29 @@ class KnnDetector(WindowDetector):
     Ports: see WindowDetector. Needs scikit-learn.
     """
 
-    def __init__(self, *, windows: np.ndarray, **arguments):
-        """
-        Args:
-            windows: (J, n, w) of the training runs, newest sample first, rad.
-            arguments: of WindowDetector, but for joints and window.
-        """
+    name = "knn"
+
+    def __init__(self, policy, windows: np.ndarray):
+        """`policy`: see WindowDetector; `windows`: (J, n, w) of the training runs, newest sample first, rad."""
         from sklearn.neighbors import KDTree
 
         windows = np.asarray(windows, dtype=float)
         if windows.ndim != 3 or not windows.size or not np.isfinite(windows).all():
             raise ValueError(f"windows has shape {windows.shape}; it must be (J, n, w), none 0, all finite: fit again.")
-        super().__init__(joints=windows.shape[0], window=windows.shape[2], **arguments)
+        super().__init__(policy, joints=windows.shape[0], window=windows.shape[2])
         self._trees = [KDTree(rows) for rows in windows]
 
-    def anomaly(self, windows: np.ndarray) -> np.ndarray:
+    @staticmethod
+    def fit(runs):
+        """The runs themselves: angles, lengths (see models/data/windows.py)."""
+        return encode_runs(runs)
+
+    @staticmethod
+    def build(policy, joints, arrays):
+        """Returns the detector of what `fit` gave; the first `joints` columns of the runs are judged."""
+        require_arrays("knn", arrays, "angles", "lengths")
+        return KnnDetector(policy, posture_windows(decode_runs(arrays))[:joints])
+
+    def anomaly(self, windows):
         """See WindowDetector; rad."""
         return np.array([tree.query(rows, k=1)[0][:, 0] for tree, rows in zip(self._trees, windows, strict=True)])

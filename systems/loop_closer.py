@@ -1,13 +1,14 @@
-"""Loop closing (Eqs. 7 and 8): while the arm is off its learned way, the network is fed its own predictions."""
+"""Loop closing (Eqs. 7 and 8): while the arm is off its learned trajectory, the network is fed its own predictions."""
 
 import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from systems.arguments import require_count
 
 
-@TemplateSystem.define("LoopCloser_")
+@TemplateSystem.define("LoopCloser_", T_list=[float, AutoDiffXd])
 def LoopCloser_(T):
     class Impl(LeafSystem_[T]):
         """x_k = (1 - alpha_{k-1}) [m_k, f_k] + alpha_{k-1} [m^R_k, f^R_k], Eqs. 7 and 8.
@@ -31,7 +32,7 @@ def LoopCloser_(T):
             predicted_features: (F,) f^R_k, predicted at the tick before.
             alpha: (1,) alpha_{k-1} in [0, 1]; the tick's update sees the value of the tick before.
         Outputs:
-            network_input: (M + F,) x_k. Direct feedthrough of every input; scalar-convertible.
+            network_input: (M + F,) x_k. Direct feedthrough of every input; converts to AutoDiffXd.
 
         Constructor: keywords posture_size (M), feature_size (F).
         """

@@ -3,7 +3,6 @@
 import numpy as np
 from pydrake.math import DiscreteAlgebraicRiccatiEquation
 from pydrake.systems.controllers import LinearQuadraticRegulator
-from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import AffineSystem, LinearSystem
 
 from systems.arguments import require_count, require_positive, require_vector
@@ -50,22 +49,11 @@ def lqr(joints: int, Q, R, period: float) -> tuple[np.ndarray, np.ndarray]:
 
 def make_posture_regulator(
     *, posture_size: int, joints: int, initial_posture: np.ndarray, Q, R, period: float
-) -> Diagram:
-    """Returns the LQR as a Diagram around one AffineSystem, which names its ports; converts to any scalar type.
+) -> AffineSystem:
+    """Returns the LQR, dm^L_k = -K (m_k - m_init), as a system that converts to any scalar type.
 
-    .. pydrake_system::
-
-        name: PostureRegulator
-        input_ports:
-        - posture
-        output_ports:
-        - step
-
-    Inputs:
-        posture: (M,) m_k, scaled or physical, like `initial_posture`.
-    Outputs:
-        step: (M,) dm^L_k = -K (m_k - m_init) in the first J components, 0 in the others; unit of the posture, per
-            tick. Direct feedthrough.
+    Input u0: (M,) m_k, scaled or physical, like `initial_posture`. Output y0: (M,) dm^L_k in the first J components, 0
+    in the others; unit of the posture, per tick. Direct feedthrough, no state.
 
     Args:
         posture_size: M.
@@ -74,15 +62,8 @@ def make_posture_regulator(
         Q, R, period: see `lqr`.
     """
     size = require_count("posture_size", posture_size)
-    if require_count("joints", joints) > size:
-        raise ValueError(f"joints is {joints}, posture_size only {size}: pass at most as many joints as components.")
+    joints = require_count("joints", joints, maximum=size)
     initial = require_vector("initial_posture", initial_posture, size)
     gain = np.zeros((size, size))
     gain[:joints, :joints], _ = lqr(joints, Q, R, period)
-    builder = DiagramBuilder()
-    affine = builder.AddNamedSystem("affine_system", AffineSystem(D=-gain, y0=gain @ initial))
-    builder.ExportInput(affine.get_input_port(), "posture")
-    builder.ExportOutput(affine.get_output_port(), "step")
-    diagram = builder.Build()
-    diagram.set_name("posture_regulator")
-    return diagram
+    return AffineSystem(D=-gain, y0=gain @ initial)

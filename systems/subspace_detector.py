@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from models.data.windows import decode_runs, encode_runs, leading_axes, posture_windows
+from systems.arguments import require_arrays
 from systems.window_detector import WindowDetector
 
 
 class SubspaceDetector(WindowDetector):
-    """a_j = ||q_j||^2 - ||U_j' q_j||^2, the squared residual of the window of joint j.
+    """a_j = ||q_j||^2 - ||U_j' q_j||^2, the squared residual of the window of joint j, rad^2.
 
     The leading axes are near {constant, ramp}: an arm that stands still has no residual.
 
@@ -24,22 +26,31 @@ class SubspaceDetector(WindowDetector):
     Ports: see WindowDetector.
     """
 
-    def __init__(self, *, axes: np.ndarray, **arguments):
-        """
-        Args:
-            axes: (J, w, A) U, orthonormal columns, newest sample first.
-            arguments: of WindowDetector, but for joints and window.
-        """
+    name = "subspace"
+
+    def __init__(self, policy, axes: np.ndarray):
+        """`policy`: see WindowDetector; `axes`: (J, w, A) U, orthonormal columns, newest sample first."""
         axes = np.asarray(axes, dtype=float)
         if axes.ndim != 3 or not axes.size:
             raise ValueError(f"axes has shape {axes.shape}; it must be (J, w, A), none 0: fit again.")
         gram = axes.swapaxes(1, 2) @ axes
         if not np.allclose(gram, np.eye(axes.shape[2]), atol=1e-5):
             raise ValueError(f"axes are not orthonormal (U'U is {gram.round(3).tolist()}): fit again.")
-        super().__init__(joints=axes.shape[0], window=axes.shape[1], **arguments)
+        super().__init__(policy, joints=axes.shape[0], window=axes.shape[1])
         self._outside = np.eye(axes.shape[1]) - axes @ axes.swapaxes(1, 2)
 
-    def anomaly(self, windows: np.ndarray) -> np.ndarray:
+    @staticmethod
+    def fit(runs):
+        """axes (J, w, 2) float32 of the runs, rounded as the first baseline keeps them."""
+        return {"axes": leading_axes(posture_windows(decode_runs(encode_runs(runs))))}
+
+    @staticmethod
+    def build(policy, joints, arrays):
+        """Returns the detector of what `fit` gave; the first `joints` of its axes are taken."""
+        require_arrays("subspace", arrays, "axes")
+        return SubspaceDetector(policy, arrays["axes"][:joints])
+
+    def anomaly(self, windows):
         """See WindowDetector; rad^2."""
         # The residual's own length: the difference of the two squares would lose it to rounding.
         return np.square(windows @ self._outside).sum(axis=2)

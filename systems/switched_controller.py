@@ -1,20 +1,21 @@
 """The whole controller: image and posture in, command out (Fig. 2), for any arm with any number of joints."""
 
 import numpy as np
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import AffineSystem
 
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
-from systems.detector import RecallDetector
+from systems.detector import sizes_of
 from systems.image_encoder import ImageEncoder
 from systems.posture_history import PostureHistory
-from systems.posture_regulator import lqr, make_posture_regulator
+from systems.posture_regulator import lqr
 from systems.recurrent_policy import RecurrentPolicy
+from systems.regulated_mixer import RegulatedMixer
 from systems.switching_law import SwitchingLaw
 
 
 class SwitchedController(Diagram):
-    """Follows the learned way while the network recalls what the arm did; else brings the arm to its initial posture.
+    """Follows the learned trajectory while the network recalls what the arm did; else brings the arm to its initial posture.
 
     .. pydrake_system::
 
@@ -27,7 +28,6 @@ class SwitchedController(Diagram):
         - alpha
         - errors
         - hidden_state
-        - predicted_posture
         - predicted_features
         - features
         - rnn_step
@@ -41,9 +41,8 @@ class SwitchedController(Diagram):
     Outputs (physical units; constant between ticks; only `features` has direct feedthrough, of the image):
         desired_posture: (M,) the command m_k + dm.
         alpha: (1,) alpha_k; the loop closing of tick k uses alpha_{k-1}.
-        errors: (E,) of the detector; RecallDetector's are l_n / r_n, n = 0 .. N.
+        errors: (E,) of the detector.
         hidden_state: (S,) c_k.
-        predicted_posture: (M,) m^R_{k+1}.
         predicted_features: (F,) f^R_{k+1}, in [-1, 1].
         features: (F,) of the image, in [-1, 1]. Encodes when pulled: pull it at a tick, where the update needs it too.
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
@@ -59,61 +58,49 @@ class SwitchedController(Diagram):
         self,
         encoder,
         policy,
+        detector: System,
         *,
+        joints: int,
         regulator_Q,
         regulator_R,
-        detector: System | None = None,
-        component_weights: np.ndarray | None = None,
         joint_lower: np.ndarray,
         joint_upper: np.ndarray,
         speed_limits: np.ndarray,
         period: float = 0.1,
         settling_ticks: int = 8,
         dwell_ticks: int = 3,
-        joints: int | None = None,
         image_width: int = 112,
         image_height: int = 112,
     ):
         """
         Args:
             encoder, policy: see models/inference.py, or any objects like ImageEncoder and RecurrentPolicy ask for.
+            detector: any system that is one by systems/detector.py, for scaled postures, as
+                `DETECTORS[...].build(policy, joints, arrays)` gives it; `set_calibration` says when it fires.
+            joints: J, the first J components are brought home; the others are fingers.
             regulator_Q, regulator_R: cost of the deviation and of the step, see `systems.posture_regulator.lqr`. Their
                 gain must be `policy.regulator_gain`, with which the network was trained.
-            detector: any system with the ports that systems/detector.py lists, for scaled postures; default: a
-                RecallDetector with the calibration in the policy's weight file.
-            component_weights: (M,) of the default detector's mean over the components; must be those of the
-                calibration. Default: ones.
             joint_lower, joint_upper: (M,) limits of the command, all components, physical units.
             speed_limits: (M,) largest speed of the command, physical units/s.
             period: T of the ticks, s.
             settling_ticks: D, how many ticks after the last one under alpha the network waits for the fingers; see
                 AlphaMixer.
-            dwell_ticks: W < D, how many ticks after alpha fell below 1/2 it is 0 whatever the detector says; see DwellTime.
-            joints: J, the first J components are brought home; default M - 1, the last being the finger opening.
+            dwell_ticks: W < D, how many ticks after alpha fell below 1/2 it is 0 whatever the detector says; see
+                DwellTime.
             image_width, image_height: of the image at the port, pixels.
         """
         super().__init__()
         period = require_positive("period", period)
-        sizes = {name: getattr(policy, name) for name in ("posture_size", "feature_size", "horizon", "state_size")}
+        sizes = sizes_of(policy)
         size = sizes["posture_size"]
-        joints = size - 1 if joints is None else require_count("joints", joints)
+        joints = require_count("joints", joints, maximum=size)
         joint_lower, joint_upper = require_bounds("joint_lower", joint_lower, "joint_upper", joint_upper, size)
         speed_limits = require_vector("speed_limits", speed_limits, size, minimum=0.0)
         _check_fit(encoder, policy)
         _check_gain(policy, lqr(joints, regulator_Q, regulator_R, period)[0])
-        if detector is None:
-            detector = _make_detector(policy, sizes, component_weights)
-        elif component_weights is not None:
-            raise ValueError(
-                "component_weights is given together with a detector, but only the default detector has them: give the "
-                "weights to your detector's own constructor."
-            )
-
         scaling = policy.scaling
-        lower, upper = require_bounds("scaling.lower", scaling.lower, "scaling.upper", scaling.upper, size)
-        half_range, middle = (upper - lower) / 2.0, (upper + lower) / 2.0
-        initial = require_vector("policy.initial_posture", policy.initial_posture, size)
-        initial = (initial - middle) / half_range
+        centre, half_range = scaling.centre, scaling.half_range
+        initial = scaling.scale(require_vector("policy.initial_posture", policy.initial_posture, size))
 
         builder = DiagramBuilder()
 
@@ -121,29 +108,35 @@ class SwitchedController(Diagram):
             return builder.AddNamedSystem(name, AffineSystem(D=np.diag(factor), y0=offset))
 
         image_encoder = builder.AddNamedSystem("image_encoder", ImageEncoder(encoder, image_width, image_height))
-        scale = affine("posture_scaling", 1.0 / half_range, -middle / half_range)
+        scale = affine("posture_scaling", 1.0 / half_range, -centre / half_range)
         network = builder.AddNamedSystem("recurrent_policy", RecurrentPolicy(policy, period))
         history = builder.AddNamedSystem(
             "posture_history",
             PostureHistory(posture_size=size, horizon=sizes["horizon"], period=period, initial_posture=initial),
         )
-        regulator = make_posture_regulator(
-            posture_size=size, joints=joints, initial_posture=initial, Q=regulator_Q, R=regulator_R, period=period
+        mixer = RegulatedMixer(
+            posture_size=size,
+            joints=joints,
+            initial_posture=initial,
+            Q=regulator_Q,
+            R=regulator_R,
+            period=period,
+            lower=scaling.scale(joint_lower),
+            upper=scaling.scale(joint_upper),
+            max_step=speed_limits * period / half_range,
+            settling_ticks=settling_ticks,
         )
         law = builder.AddNamedSystem(
             "switching_law",
             SwitchingLaw(
                 **sizes,
+                feature_size=policy.feature_size,
                 detector=detector,
-                regulator=regulator,
-                lower=(joint_lower - middle) / half_range,
-                upper=(joint_upper - middle) / half_range,
-                max_step=speed_limits * period / half_range,
-                settling_ticks=settling_ticks,
+                mixer=mixer,
                 dwell_ticks=dwell_ticks,
-                joints=joints,
             ),
         )
+        self._detector = detector
 
         # A history of any vector. Its update at tick k still sees the alpha of tick k - 1.
         alpha_history = builder.AddNamedSystem(
@@ -169,11 +162,10 @@ class SwitchedController(Diagram):
             builder.Connect(port, unscale.get_input_port())
             builder.ExportOutput(unscale.get_output_port(), name)
 
-        export_physical(law.GetOutputPort("desired_posture"), "desired_posture", middle)
+        export_physical(law.GetOutputPort("desired_posture"), "desired_posture", centre)
         builder.ExportOutput(law.GetOutputPort("alpha"), "alpha")
         builder.ExportOutput(law.GetOutputPort("errors"), "errors")
         builder.ExportOutput(network.GetOutputPort("hidden_state"), "hidden_state")
-        export_physical(network.GetOutputPort("predicted_posture"), "predicted_posture", middle)
         builder.ExportOutput(network.GetOutputPort("predicted_features"), "predicted_features")
         builder.ExportOutput(image_encoder.GetOutputPort("features"), "features")
         export_physical(law.GetOutputPort("rnn_step"), "rnn_step", np.zeros(size))  # a difference has no offset
@@ -181,6 +173,11 @@ class SwitchedController(Diagram):
         builder.ExportOutput(network.GetOutputPort("recalled_postures"), "recalled_postures")
         builder.ExportOutput(history.GetOutputPort("posture_history"), "posture_history")
         builder.BuildInto(self)
+
+    def set_calibration(self, context: Context, reference_errors, beta: float, gamma: float) -> None:
+        """Sets the detector's calibration (see CalibratedDetector) in `context`, the root Context; holds at once."""
+        own = self._detector.GetMyMutableContextFromRoot(context)
+        self._detector.set_calibration(own, reference_errors, beta, gamma)
 
 
 def _check_fit(encoder, policy) -> None:
@@ -207,21 +204,3 @@ def _check_gain(policy, gain: np.ndarray) -> None:
             f"trained with {trained:g} times the identity (limit: 1e-4 of that), and has learned the residual of it: "
             "set Q and R of the training, or train again."
         )
-
-
-def _make_detector(policy, sizes: dict, component_weights: np.ndarray | None) -> System:
-    """Returns the RecallDetector with the policy's calibration."""
-    if any(getattr(policy, name) is None for name in ("reference_errors", "beta", "gamma")):
-        raise ValueError(
-            "The policy has no calibration (reference_errors, beta, gamma), which the default detector needs: run the "
-            "calibration on its weight file, or pass a detector."
-        )
-    return RecallDetector(
-        posture_size=sizes["posture_size"],
-        horizon=sizes["horizon"],
-        state_size=sizes["state_size"],
-        reference_errors=policy.reference_errors,
-        beta=policy.beta,
-        gamma=policy.gamma,
-        component_weights=component_weights,
-    )

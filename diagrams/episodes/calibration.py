@@ -12,19 +12,19 @@ from pydrake.systems.framework import System
 
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
-from systems.detector import RecallDetector
+from models.networks import NETWORKS
+from systems.detector import NEVER
 from systems.detectors import DETECTORS
 
-# The recall of the joints is judged, not that of the fingers: under alpha = 1 they keep their command, whatever the
-# network goes through.
-COMPONENT_WEIGHTS = np.append(np.ones(ARM_JOINTS), 0.0)
+RECALL = "recall"  # the detector whose calibration is in the policy's own file
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a detector needs beside what was learned (Eqs. 5, 6): reference errors, one a criterion (N + 1 of the recall), beta, gamma.
+    """What a detector needs beside what was learned (Eqs. 5, 6).
 
-    The references are in the unit of the detector's errors; beta and gamma are dimensionless.
+    Reference errors, one a criterion (N + 1 of the recall), in the unit of the detector's errors; beta and gamma,
+    dimensionless.
     """
 
     reference_errors: tuple[float, ...]
@@ -32,101 +32,71 @@ class Calibration:
     gamma: float
 
 
-OFF = 1e12  # a gamma at which no detector fires
-
-
 def never_fires(criteria: int) -> Calibration:
     """The calibration of a detector with so many criteria that is switched off: alpha stays 0."""
-    return Calibration((1.0,) * criteria, 1.0, OFF)
+    return Calibration((1.0,) * criteria, 1.0, NEVER)
 
 
 @dataclass(frozen=True)
 class Controller:
-    """A policy file, a detector (one of DETECTORS; a baseline's file lies beside the policy), and a calibration instead of the files'."""
+    """A policy file, a detector of DETECTORS (what it learned lies beside the policy), a calibration instead of the files'."""
 
     policy: Path
     detector: str = "recall"
     calibration: Calibration | None = None
 
-    @property
-    def detector_label(self) -> str:
-        """The detector's short name."""
-        return DETECTORS.label(self.detector)
-
 
 def policy_name(rnn: str, training_seed: int = 0) -> str:
     """File name of a trained network: lstm.safetensors is that of training seed 0, lstm-1.safetensors that of seed 1."""
-    return f"{rnn}-{training_seed}.safetensors" if training_seed else f"{rnn}.safetensors"
+    label = NETWORKS.label(rnn)
+    return f"{label}-{training_seed}.safetensors" if training_seed else f"{label}.safetensors"
+
+
+def detector_file(folder: Path, detector: str) -> Path:
+    """Where what a detector learned, and its calibrations, lie beside the policies in `folder`."""
+    return folder / f"{DETECTORS.label(detector)}.safetensors"
 
 
 def stored_calibration(detector: str, policy, folder: Path, gamma: float | None = None) -> Calibration:
-    """The calibration in the files in `folder`; `policy`: see models/inference.py. With a `gamma`: the paper's rule (errors
-    referred to their means).
+    """The calibration in the files in `folder`; with a `gamma`, the paper's rule (errors referred to their means).
 
-    Raises InputError for a policy without, WeightsError for a baseline's file that is missing, damaged, or without one for this policy.
+    `policy`: see models/inference.py. Raises InputError for a policy without, WeightsError for a detector's file that is
+    missing, damaged, or without a calibration for this policy.
     """
-    from models.files.baselines import calibration_of, load_detector
+    from models.files.detectors import calibration_of, load_detector
 
-    if detector == "recall":
-        if policy.reference_errors is None or policy.mean_errors is None or policy.beta is None or policy.gamma is None:
+    if DETECTORS.label(detector) == RECALL:
+        references, gamma = (policy.reference_errors, policy.gamma) if gamma is None else (policy.mean_errors, gamma)
+        if references is None or policy.beta is None or gamma is None:
             raise InputError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
-        if gamma is not None:
-            return Calibration(tuple(policy.mean_errors), policy.beta, gamma)
-        return Calibration(tuple(policy.reference_errors), policy.beta, policy.gamma)
-    path = folder / f"{detector}.safetensors"
-    found = calibration_of(path, load_detector(path, detector), policy.hash)
+        return Calibration(tuple(references), policy.beta, gamma)
+    path = detector_file(folder, detector)
+    found = calibration_of(path, load_detector(path, DETECTORS.label(detector)), policy.hash)
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
 
 
 def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
-    """Of what the baseline's file in `folder` says for that policy; calibrations of other policies, added later, leave it as it is.
+    """Of what the detector's file in `folder` says for that policy; calibrations of others, added later, leave it as it is.
 
     Raises WeightsError for a file that is missing, damaged, or without a calibration for the policy.
     """
-    from models.files.baselines import calibration_of, load_detector
+    from models.files.detectors import calibration_of, load_detector
 
-    path = folder / f"{detector}.safetensors"
-    found = load_detector(path, detector)
-    digest = hashlib.sha256(json.dumps(calibration_of(path, found, policy_hash), sort_keys=True).encode())
-    for array in [*found.runs, *([] if found.axes is None else [found.axes])]:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
-
-
-def make_detector(detector: str, policy, folder: Path, calibration: Calibration | None = None) -> System:
-    """The detector of that name for `policy`, with `calibration` instead of the one in the files; raises as stored_calibration does."""
-    from models.files.baselines import load_detector
-
-    if detector not in DETECTORS:
-        raise InputError(f"there is no detector '{detector}': choose one of {', '.join(DETECTORS)}")
-    if calibration is None:
-        calibration = stored_calibration(detector, policy, folder)
-    if detector == "recall":
-        return RecallDetector(**_arguments(policy, calibration), component_weights=COMPONENT_WEIGHTS)
-    return make_window_detector(load_detector(folder / f"{detector}.safetensors", detector), policy, calibration)
+    path = detector_file(folder, detector)
+    found = load_detector(path, DETECTORS.label(detector))
+    total = hashlib.sha256(json.dumps(calibration_of(path, found, policy_hash), sort_keys=True).encode())
+    for _, array in sorted(found.arrays.items()):
+        total.update(np.ascontiguousarray(array).tobytes())
+    return total.hexdigest()
 
 
-def make_window_detector(stored, policy, calibration: Calibration) -> System:
-    """The baseline `stored` (models/files/baselines.py) for `policy`; raises InputError where scikit-learn is not installed."""
-    from models.files.baselines import posture_windows
-    from systems.knn_detector import KnnDetector
-    from systems.subspace_detector import SubspaceDetector
+def make_detector(detector: str, policy, folder: Path) -> System:
+    """The detector of that name for `policy`, not calibrated yet, from its file in `folder`.
 
-    arguments = _arguments(policy, calibration) | {"lower": policy.scaling.lower, "upper": policy.scaling.upper}
-    if stored.axes is not None:
-        return SubspaceDetector(axes=stored.axes, **arguments)
-    try:
-        return KnnDetector(windows=posture_windows(stored.runs), **arguments)
-    except ModuleNotFoundError as error:
-        raise InputError(f"the detector knn needs {error.name}: pip install -e '.[sweep]'") from error
+    Raises InputError for an unknown name, WeightsError for a file that is missing or damaged.
+    """
+    from models.files.detectors import load_detector
 
-
-def _arguments(policy, calibration: Calibration) -> dict:
-    return {
-        "posture_size": policy.posture_size,
-        "horizon": policy.horizon,
-        "state_size": policy.state_size,
-        "reference_errors": np.array(calibration.reference_errors),
-        "beta": calibration.beta,
-        "gamma": calibration.gamma,
-    }
+    label = DETECTORS.label(detector)
+    arrays = {} if label == RECALL else load_detector(detector_file(folder, detector), label).arrays
+    return DETECTORS[detector].build(policy, ARM_JOINTS, arrays)

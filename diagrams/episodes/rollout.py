@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, EventStatus
+from pydrake.systems.framework import DiagramBuilder, EventStatus, System
 
-from diagrams.episodes.calibration import COMPONENT_WEIGHTS
+from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.narrator import Narrator
@@ -19,11 +19,13 @@ from diagrams.episodes.record import PICTURE_EVERY, Record
 from diagrams.episodes.switching import DETECTION_TICKS, GUARD, Switching, Until
 from diagrams.world.can_mover import CanMover
 from diagrams.world.configuration import World
-from diagrams.world.names import other_spot
+from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import TIME_LIMIT, TaskMonitor, lifted
 from models.errors import InputError
+from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
+from systems.recall_detector import joint_weights
 from systems.switched_controller import SwitchedController
 
 # Outputs of the controller that are recorded in the middle of each tick, under their own names.
@@ -33,29 +35,43 @@ RECORDED = ("rnn_step", "regulator_step", "desired_posture", "errors", "hidden_s
 class Rollout:
     """Station, controller and disturbance, wired as systems/README.md says."""
 
-    def __init__(self, world: World, encoder, policy, detector=None, meshcat=None, video: Path | None = None):
+    def __init__(
+        self,
+        world: World,
+        encoder,
+        policy,
+        detector: System | None = None,
+        calibration: Calibration | None = None,
+        meshcat=None,
+        video: Path | None = None,
+    ):
         """
         Args:
             encoder, policy: see models/inference.py.
-            detector: see systems/detectors.py; None: the recall of the policy.
+            detector, calibration: see systems/detector.py; None: the recall, with the policy's own calibration.
             meshcat: where the run is shown.
             video: an .mp4 to write, finished by `self.video.Save()`.
 
         Raises InputError for networks, camera, world and regulator that do not fit together.
         """
         require_trained_for(world, policy)
+        self._weights = joint_weights(policy.posture_size, ARM_JOINTS)
         self.world, self.policy = world, policy
         builder = DiagramBuilder()
         self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None))
         lower, upper, speed = controller_limits(self.station)
+        if detector is None:
+            detector = DETECTORS[RECALL].build(policy, ARM_JOINTS, {})
+            calibration = calibration or stored_calibration(RECALL, policy, Path())
+        self.calibration = calibration
         try:
             self.controller = SwitchedController(
                 encoder,
                 policy,
+                detector,
+                joints=ARM_JOINTS,
                 regulator_Q=world.regulator.state_weight,
                 regulator_R=world.regulator.input_weight,
-                detector=detector,
-                component_weights=COMPONENT_WEIGHTS if detector is None else None,
                 joint_lower=lower,
                 joint_upper=upper,
                 speed_limits=speed,
@@ -96,8 +112,8 @@ class Rollout:
         self.can_mover.act(self.simulator.get_mutable_context())
         return EventStatus.DidNothing()
 
-    def prepare(self, episode: Episode) -> TaskMonitor:
-        """Puts a fresh Context for `episode` into the simulator."""
+    def prepare(self, episode: Episode, calibration: Calibration | None = None) -> TaskMonitor:
+        """Puts a fresh Context for `episode` into the simulator; `calibration`: instead of the one given at construction."""
         station, given = self.station, episode.disturbance
         self.simulator.reset_context(self.diagram.CreateDefaultContext())
         context = self.simulator.get_mutable_context()
@@ -105,6 +121,9 @@ class Rollout:
         meter = station.approach_meter
         meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
         self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), given)
+        if (used := calibration or self.calibration) is None:
+            raise InputError("the detector has no calibration: give one, or run diagrams/baselines.py")
+        self.controller.set_calibration(context, used.reference_errors, used.beta, used.gamma)
         self.can_mover.set_place(self.can_mover.GetMyMutableContextFromRoot(context), given.can_moved_to)
         self.simulator.Initialize()
         goal, neighbour = station.spot(episode.vacant), station.spot(other_spot(episode.vacant))
@@ -118,6 +137,7 @@ class Rollout:
         until: Until = "task",
         pictures: bool = False,
         time_limit: float = TIME_LIMIT,
+        calibration: Calibration | None = None,
     ) -> tuple[Outcome, Record]:
         """Runs `episode` to success, to its time limit, or to what `until` says; its ticks are those of the whole run.
 
@@ -125,9 +145,10 @@ class Rollout:
             on_event: is told (s, what happened); on_tick: is told the number of ticks so far.
             pictures: keep what the camera sees every PICTURE_EVERY ticks.
             time_limit: s, plus the time disturbed.
+            calibration: see `prepare`.
         """
         started = time.perf_counter()
-        monitor = self.prepare(episode)
+        monitor = self.prepare(episode, calibration)
         period = self.world.timing.period
         context = self.simulator.get_mutable_context()
         controller, disturbance = (s.GetMyContextFromRoot(context) for s in (self.controller, self.disturbance))
@@ -155,7 +176,7 @@ class Rollout:
             active = bool(self.disturbance.GetOutputPort("active").Eval(disturbance)[0] > 0.5)
             row = dict(posture=posture, alpha=alpha, active=active, can_poses=cans, features=features)
             row |= {name: get(name).Eval(controller).copy() for name in RECORDED}
-            row["squared_errors"] = np.average((history - recalled) ** 2, axis=1, weights=COMPONENT_WEIGHTS)
+            row["squared_errors"] = np.average((history - recalled) ** 2, axis=1, weights=self._weights)
             row["at_home"] = bool(monitor.home(posture))
             if pictures and k % PICTURE_EVERY == 0:
                 row |= {"picture_ticks": k, "pictures": self._station_output("rgb_image").data[:, :, :3].copy()}

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diagrams.episodes.calibration import Controller, make_detector
+from diagrams.episodes.calibration import Controller, make_detector, stored_calibration
 from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.pool import kept_in_thread
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
+from systems.detectors import DETECTORS
 
 if TYPE_CHECKING:
     from diagrams.episodes.record import Record
@@ -35,30 +36,31 @@ class Job:
 
 def run_episode(job: Job) -> tuple[Outcome, Record]:
     """Runs the episode of `job`; raises InputError as `make_detector`, `EpisodeSampler` and `Rollout` do."""
+    from diagrams.episodes.sampling import EpisodeSampler
+
+    controller, world = job.controller, repr(job.world)
+    rollout = kept_in_thread(
+        ("rollout", world, job.encoder, controller.policy, controller.detector), lambda: _build(job), KEPT
+    )
     episode = job.episode
     if episode is None:
-        from diagrams.episodes.sampling import EpisodeSampler
+        sampler = kept_in_thread(("sampler", world), lambda: EpisodeSampler(job.world))
+        detector = DETECTORS.label(controller.detector)
+        episode = sampler.sample(job.seed, job.kind, rnn=rollout.policy.name, detector=detector)
+    calibration = controller.calibration or kept_in_thread(
+        ("calibration", controller),
+        lambda: stored_calibration(controller.detector, rollout.policy, controller.policy.parent),
+    )
+    return rollout.run(episode, until=job.until, pictures=job.pictures, calibration=calibration)
 
-        sampler = kept_in_thread(("sampler", repr(job.world)), lambda: EpisodeSampler(job.world))
-        rollout = rollout_for(job)
-        episode = sampler.sample(job.seed, job.kind, rnn=rollout.policy.name, detector=job.controller.detector_label)
-    return rollout_for(job).run(episode, until=job.until, pictures=job.pictures)
 
-
-def rollout_for(job: Job) -> Rollout:
-    """The diagram of the job's world and controller, built once in this thread."""
+def _build(job: Job) -> Rollout:
     import torch
 
     from diagrams.episodes.rollout import Rollout
     from models.inference import Encoder, Policy
 
-    def build() -> Rollout:
-        torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-        encoder = kept_in_thread(("encoder", job.encoder), lambda: Encoder(job.encoder))
-        policy = Policy(job.controller.policy)
-        detector = make_detector(
-            job.controller.detector, policy, job.controller.policy.parent, calibration=job.controller.calibration
-        )
-        return Rollout(job.world, encoder, policy, detector)
-
-    return kept_in_thread(("rollout", repr(job.world), job.encoder, job.controller), build, most=KEPT)
+    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
+    given, folder = job.controller, job.controller.policy.parent
+    encoder, policy = kept_in_thread(("encoder", job.encoder), lambda: Encoder(job.encoder)), Policy(given.policy)
+    return Rollout(job.world, encoder, policy, make_detector(given.detector, policy, folder))

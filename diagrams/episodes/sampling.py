@@ -13,7 +13,7 @@ from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import Disturbance
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS, other_spot
 from diagrams.world.scenario import Scenario
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, subtask_commands
 from models.errors import InputError
@@ -80,6 +80,7 @@ class EpisodeSampler:
         sampled_xy, sampled_vacant = self.unlearned_position(scene), str(scene.choice(SPOTS))
         can_xy = sampled_xy if can_xy is None else (float(can_xy[0]), float(can_xy[1]))
         vacant = sampled_vacant if vacant is None else vacant
+        other_spot(vacant)  # there is one
         self.require_reachable(can_xy)
         return Episode(seed, can_xy, vacant, self._disturbance(experimenter, kind, can_xy, vacant), rnn, detector)
 

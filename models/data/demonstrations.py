@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,55 +56,69 @@ class DatasetHeader:
     total: int
 
 
-def _open(path: str | Path) -> h5py.File:
+@contextmanager
+def _open(path: str | Path) -> Iterator[h5py.File]:
+    """The file, for reading; raises DatasetError where that, or what is read in it, fails."""
     if not Path(path).is_file():
         raise DatasetError(f"{path}: the data set does not exist. Record it: `python diagrams/teach.py --out {path}`")
     try:
-        return h5py.File(path, "r")
+        with h5py.File(path, "r") as file:
+            yield file
+    except KeyError as error:
+        raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
+    except PermissionError as error:
+        raise DatasetError(f"{path}: may not be read. Check its permissions") from error
     except OSError as error:
+        if isinstance(error, BlockingIOError) or "already open" in str(error):
+            raise DatasetError(f"{path}: another program has it open for writing. Wait until that has ended") from error
         raise DatasetError(f"{path}: not a readable HDF5 file ({error}). Record it again") from error
 
 
 def read_header(path: str | Path) -> DatasetHeader:
     """Reads the file's attributes."""
     with _open(path) as file:
-        try:
-            attributes: Any = file["data"].attrs
-            return DatasetHeader(
-                np.array(attributes["initial_posture"], float),
-                float(attributes["period"]),
-                str(attributes["content_hash"]),
-                int(attributes["total"]),
-            )
-        except KeyError as error:
-            raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
+        attributes: Any = file["data"].attrs
+        return DatasetHeader(
+            np.array(attributes["initial_posture"], float),
+            float(attributes["period"]),
+            str(attributes["content_hash"]),
+            int(attributes["total"]),
+        )
 
 
 def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demonstration]:
     """All demonstrations, or those of one split ("train", "valid"), in the order of their numbers."""
     with _open(path) as file:
-        try:
-            splits = {name.decode(): part for part in ("train", "valid") for name in file[f"mask/{part}"][()]}
-            found = []
-            for name in sorted(splits, key=lambda text: int(text.rsplit("_", 1)[1])):
-                if split in (None, splits[name]):
-                    demo = file["data"][name]
-                    found.append(
-                        Demonstration(
-                            name=name,
-                            split=splits[name],
-                            can_xy=np.array(demo.attrs["can_xy"], float),
-                            vacant=str(demo.attrs["vacant"]),
-                            subtask_starts=tuple(int(k) for k in demo.attrs["subtask_starts"]),
-                            posture=np.array(demo["obs/posture"], float),
-                            actions=np.array(demo["actions"], float),
-                        )
-                    )
-        except KeyError as error:
-            raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
+        splits = {name.decode(): part for part in ("train", "valid") for name in file[f"mask/{part}"][()]}
+        names = [name for name in splits if split in (None, splits[name])]
+        found = [
+            Demonstration(
+                name=name,
+                split=splits[name],
+                can_xy=np.array(file["data"][name].attrs["can_xy"], float),
+                vacant=str(file["data"][name].attrs["vacant"]),
+                subtask_starts=tuple(int(k) for k in file["data"][name].attrs["subtask_starts"]),
+                posture=np.array(file["data"][name]["obs/posture"], float),
+                actions=np.array(file["data"][name]["actions"], float),
+            )
+            for name in sorted(names, key=lambda text: int(text.rsplit("_", 1)[1]))
+        ]
     if not found:
         raise DatasetError(f"{path}: holds no demonstration of split {split}")
     return found
+
+
+def content_of(path: str | Path) -> str:
+    """SHA-256 of the teacher's content hash and of all but the pictures that the file holds.
+
+    The teacher's hash alone stays as it was while demonstrations are added.
+    """
+    digest = hashlib.sha256(read_header(path).content_hash.encode())
+    for demo in read_demonstrations(path):
+        digest.update(f"{demo.name} {demo.split} {demo.vacant} {demo.subtask_starts}".encode())
+        for array in (demo.can_xy, demo.posture, demo.actions):
+            digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def iterate_frames(path: str | Path, names: Sequence[str], stop: int | None = None) -> Iterator[np.ndarray]:

@@ -1,4 +1,4 @@
-"""Subtask sequences as padded tensors, the augmentation of their inputs, and the run of a network over them."""
+"""Subtask sequences as padded tensors, batches of them, and the run of a network over a batch."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from models.data.augmentation import Augmentation, AugmentedInputs, augment
 from models.data.demonstrations import Demonstration, subtask_ranges
 from models.data.scaling import MinMaxScaling
 from models.networks.rnn import RecurrentNetwork
@@ -52,69 +53,24 @@ def pack_sequences(
         target: "posture": m_{k+1} as measured; "action": as commanded at k.
         padding: extra ticks after the longest sequence.
     """
-    rows: list[tuple[Demonstration, int, int, int, int]] = []
-    for demo in demos:
-        ends = [*demo.subtask_starts[1:], len(demo.posture)]
-        for subtask, (start, stop) in enumerate(subtask_ranges(demo)):
-            rows.append((demo, start, stop, ends[subtask] - 1, subtask))
-    longest = max(stop - start for _, start, stop, _, _ in rows) + padding
-    parts: list[list[np.ndarray]] = [[], [], [], []]
-    for demo, start, stop, last, _ in rows:
-        now = np.minimum(np.arange(start, start + longest), stop - 1)
-        after = np.minimum(np.minimum(np.arange(start, start + longest), stop - 1) + 1, last)
-        posture = scaling.scale(demo.posture)
+    cuts = [
+        (demo, start, stop, end - 1, subtask)
+        for demo in demos
+        for subtask, ((start, stop), end) in enumerate(
+            zip(subtask_ranges(demo), [*demo.subtask_starts[1:], len(demo.posture)], strict=True)
+        )
+    ]
+    ticks = np.arange(max(stop - start for _, start, stop, _, _ in cuts) + padding)
+    rows = []
+    for demo, start, stop, last, _ in cuts:
+        now = np.minimum(start + ticks, stop - 1)
+        after = np.minimum(now + 1, last)
+        posture, feature = scaling.scale(demo.posture), features[demo.name]
         commanded = scaling.scale(demo.actions)[now] if target == "action" else posture[after]
-        for part, value in zip(
-            parts, (posture[now], features[demo.name][now], commanded, features[demo.name][after]), strict=True
-        ):
-            part.append(value)
-    m, f, m_next, f_next = (torch.from_numpy(np.stack(part)).float() for part in parts)
-    return SequencePack(
-        m,
-        f,
-        m_next,
-        f_next,
-        length=torch.tensor([stop - start for _, start, stop, _, _ in rows]),
-        subtask=torch.tensor([row[-1] for row in rows]),
-    )
-
-
-@dataclass(kw_only=True)
-class Augmentation:
-    """How the inputs of a training sequence are disturbed while its targets stay clean; scaled units, ticks.
-
-    Args:
-        joint_noise: std of the slow noise on the joints (Gaussian knots, linear between them).
-        knot_ticks: ticks between knots.
-        finger_noise: std of slow noise on the finger. Its measured opening is its own last command: a network that copies it
-            lets it drift, and drops the can.
-        feature_noise: std of white noise on the features.
-        feature_slow_noise: std of slow noise on the features.
-        quiet_probability: share of sequences without noise on the joints, and of those without on the features.
-        closed_finger_probability: share of the first subtask's sequences that start with the finger seen closed.
-        loop_probability: share of sequences with one stretch on the network's own predictions (Eqs. 7, 8, alpha = 1).
-        loop_to_end_probability: share of those stretches that go on to the end of the sequence.
-        hold_probability: share of those stretches before which the inputs stand still, as when the arm is stopped.
-        hold_ticks: longest such standstill.
-        rest_ticks: longest rest, still on own predictions, after a stretch that goes to the end.
-        carry_ticks: a later sequence may start from the state of any of the last so many ticks of the subtask, or of the rest.
-            When a recovery ends, the recall fits as soon as it reaches back to the arrival at home only, long before the
-            imagined subtask is at rest.
-    """
-
-    joint_noise: float = 0.08
-    knot_ticks: int = 12
-    finger_noise: float = 0.4
-    feature_noise: float = 0.12
-    feature_slow_noise: float = 0.3
-    quiet_probability: float = 0.2
-    closed_finger_probability: float = 0.2
-    loop_probability: float = 0.4
-    loop_to_end_probability: float = 0.6
-    hold_probability: float = 0.8
-    hold_ticks: int = 24
-    rest_ticks: int = 30
-    carry_ticks: int = 9
+        rows.append((posture[now], feature[now], commanded, feature[after]))
+    m, f, m_next, f_next = (torch.from_numpy(np.stack(part)).float() for part in zip(*rows, strict=True))
+    length = torch.tensor([stop - start for _, start, stop, _, _ in cuts])
+    return SequencePack(m, f, m_next, f_next, length, subtask=torch.tensor([cut[-1] for cut in cuts]))
 
 
 @dataclass
@@ -138,16 +94,6 @@ class Batch:
     carry: Tensor
 
 
-def slow_noise(ticks: int, batch: int, size: int, every: int, generator: torch.Generator) -> Tensor:
-    """(T, B, n): standard normal knots every so many ticks at a random phase, linear between them."""
-    knots = torch.randn(ticks // every + 3, batch, size, generator=generator)
-    t = torch.arange(ticks)[:, None] / every + torch.rand(1, batch, generator=generator)
-    index = t.long()
-    part = (t - index)[..., None]
-    column = torch.arange(batch)
-    return knots[index, column] * (1.0 - part) + knots[index + 1, column] * part
-
-
 def make_batch(
     pack: SequencePack, initial: Tensor, joints: int, options: Augmentation | None, generator: torch.Generator
 ) -> Batch:
@@ -159,59 +105,22 @@ def make_batch(
     """
     batch, ticks = pack.posture.shape[:2]
     clean, feature = pack.posture.transpose(0, 1), pack.feature.transpose(0, 1)
-    posture = clean.clone()
-    k = torch.arange(ticks)[:, None]
-    length = pack.length.clone()
-    closed = torch.zeros(ticks, batch, dtype=torch.bool)
-    held = k.expand(ticks, batch)
-    carry = length - 1
-
-    def chance(probability: float) -> Tensor:
-        return torch.rand(batch, generator=generator) < probability
-
-    if options is not None:
-        loud = (~chance(options.quiet_probability)).float()[:, None]
-        noise = slow_noise(ticks, batch, joints, options.knot_ticks, generator)
-        posture[..., :joints] += options.joint_noise * loud * noise
-        noise = slow_noise(ticks, batch, posture.shape[-1] - joints, options.knot_ticks, generator)
-        posture[..., joints:] += options.finger_noise * loud * noise
-        loud = (~chance(options.quiet_probability)).float()[:, None]
-        feature = feature + loud * (
-            options.feature_noise * torch.randn(feature.shape, generator=generator)
-            + options.feature_slow_noise * slow_noise(ticks, batch, feature.shape[-1], options.knot_ticks, generator)
-        )
-        # After a recovery the finger may still be closed on nothing: it has to open again.
-        until = torch.randint(1, 5, (batch,), generator=generator)
-        shut = chance(options.closed_finger_probability) & (pack.subtask == 0) & (k < until)
-        grip = clean[length - 1, torch.arange(batch), joints:]
-        posture[..., joints:] = torch.where(shut[..., None], grip, posture[..., joints:])
-
-        loop, to_end = chance(options.loop_probability), chance(options.loop_to_end_probability)
-        share = torch.rand(3, batch, generator=generator)
-        start = 1 + (share[0] * (length - 21).clamp_min(1)).long()
-        stop = torch.where(to_end, ticks, start + 20 + (share[1] * (length - start - 20).clamp_min(1)).long())
-        closed = loop & (k >= start) & (k < stop)
-        rest = torch.randint(0, options.rest_ticks + 1, (batch,), generator=generator)
-        length = torch.where(loop & to_end, torch.clamp(length + rest, max=ticks), length)
-        carried = torch.rand(batch, generator=generator) * (length - pack.length + options.carry_ticks)
-        carry = length - 1 - carried.long()
-        hold = (2 + share[2] * (options.hold_ticks - 1)).long() * (loop & chance(options.hold_probability))
-        onset = (start - hold).clamp_min(0)
-        held = torch.where((k >= onset) & (k < start), onset, k)
-    column = torch.arange(batch)
-    posture, feature = posture[held, column], feature[held, column]
-    seen = torch.where(closed[..., None], clean, posture)
-    pull = torch.zeros_like(seen)
-    pull[..., :joints] = seen[..., :joints] - initial[:joints]
+    if options is None:
+        closed = torch.zeros(ticks, batch, dtype=torch.bool)
+        inputs = AugmentedInputs(clean, feature, closed, pack.length, pack.length - 1)
+    else:
+        inputs = augment(clean, feature, pack.length, pack.subtask, joints, options, generator)
+    pull = torch.zeros_like(clean)
+    pull[..., :joints] = torch.where(inputs.closed[..., None], clean, inputs.posture)[..., :joints] - initial[:joints]
     return Batch(
-        x=torch.cat((posture, feature), -1),
-        closed=closed[..., None],
+        x=torch.cat((inputs.posture, inputs.feature), -1),
+        closed=inputs.closed[..., None],
         target=torch.cat((pack.posture_target, pack.feature_target), -1).transpose(0, 1),
         pull=pull,
         clean=clean,
-        valid=(k < length).float(),
-        last=length - 1,
-        carry=carry,
+        valid=(torch.arange(ticks)[:, None] < inputs.length).float(),
+        last=inputs.length - 1,
+        carry=inputs.carry,
     )
 
 

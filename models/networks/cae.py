@@ -7,6 +7,8 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from models.errors import InputError
+
 IMAGE_SIZE = 112
 FEATURE_SIZE = 30
 CHANNELS = (32, 64, 128)
@@ -28,7 +30,9 @@ class ConvolutionalAutoencoder(nn.Module):
     def __init__(self, feature_activation: str = "tanh") -> None:
         super().__init__()
         if feature_activation not in _ACTIVATIONS:
-            raise ValueError(f"feature_activation must be one of {sorted(_ACTIVATIONS)}, not {feature_activation!r}")
+            raise InputError(
+                f"there is no feature activation {feature_activation!r}: choose one of {sorted(_ACTIVATIONS)}"
+            )
         self.feature_activation = feature_activation
         flat = CHANNELS[2] * 12 * 12
         down = [3, *CHANNELS]

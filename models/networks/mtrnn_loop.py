@@ -1,6 +1,7 @@
-"""The MTRNN's training loop over ticks, with its backward pass written out, for the reason that lstm_loop.py gives.
+"""The MTRNN's training loop over ticks, with its backward pass written out.
 
-Same numbers as MTRNN.step called in a loop: a test compares them.
+Its layers are so small that autograd over a dozen operations a tick costs more than their arithmetic: this loop takes
+a third of the time. Same numbers as MTRNN.step called in a loop: a test compares them.
 """
 
 from __future__ import annotations
@@ -12,27 +13,19 @@ from torch import Tensor
 
 
 class MtrnnLoop(torch.autograd.Function):
-    """x (T, B, n), closed (T, B, 1), u (B, S), 1/tau (S,), and the MTRNN's parameters to y (T, B, m) and states (T, B, S).
+    """x (T, B, n), closed (T, B, 1), u (B, S), 1/tau (S,) and the MTRNN's parameters to y (T, B, m), states (T, B, S).
 
-    Both layers at once: u <- (1 - 1/tau) u + (1/tau)(W [x, tanh u] + b), with W = 0 from x to the slow layer, which comes
-    last. `to_fast` (F, n + S), `to_slow` (S - F, S), `output` (m, F). No gradients to x, u and 1/tau: they are data.
+    Both layers at once: u <- (1 - 1/tau) u + (1/tau)(W [x, tanh u] + b), with W = 0 from x to the slow layer, which
+    comes last. Parameters, each with its bias: to_fast (F, n + S), to_slow (S - F, S), output (m, F). No gradients to x,
+    u and 1/tau: they are data.
     """
 
     @staticmethod
     def forward(
-        ctx: Any,
-        x: Tensor,
-        closed: Tensor,
-        u: Tensor,
-        rate: Tensor,
-        to_fast: Tensor,
-        fast_bias: Tensor,
-        to_slow: Tensor,
-        slow_bias: Tensor,
-        output: Tensor,
-        output_bias: Tensor,
+        ctx: Any, x: Tensor, closed: Tensor, u: Tensor, rate: Tensor, *parameters: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Ticks where any sequence is closed take its own clipped prediction as that sequence's input."""
+        to_fast, fast_bias, to_slow, slow_bias, output, output_bias = parameters
         ticks, batch, inputs = x.shape
         fast, size = len(to_fast), u.shape[1]
         by_x = rate[:fast, None] * to_fast[:, :inputs]
@@ -88,15 +81,7 @@ class MtrnnLoop(torch.autograd.Function):
             grad_u_k[k - 1].addcmul_(keep, grad_u_k[k]).addcmul_(back_h, slope_k[k - 1])
         flat, flat_y = (grad_u * rate).view(ticks * batch, -1), grad_y.view(ticks * batch, -1)
         by_hidden, by_bias = flat.t() @ hs[:-1].reshape(-1, size), flat.sum(0)
-        return (
-            None,
-            None,
-            None,
-            None,
-            torch.cat((flat[:, :fast].t() @ x.view(-1, inputs), by_hidden[:fast]), 1),
-            by_bias[:fast],
-            by_hidden[fast:],
-            by_bias[fast:],
-            flat_y.t() @ hs[1:, :, :fast].reshape(-1, fast),
-            flat_y.sum(0),
-        )
+        by_fast = torch.cat((flat[:, :fast].t() @ x.view(-1, inputs), by_hidden[:fast]), 1)
+        by_output = flat_y.t() @ hs[1:, :, :fast].reshape(-1, fast)
+        gradients = (by_fast, by_bias[:fast], by_hidden[fast:], by_bias[fast:], by_output, flat_y.sum(0))
+        return (None, None, None, None, *gradients)

@@ -4,29 +4,36 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from models.networks.gru_loop import GruLoop
-from models.networks.lstm_loop import LstmLoop
+from models.errors import InputError
+from models.networks import NETWORKS
 from models.networks.mtrnn_loop import MtrnnLoop
 
 
 class RecurrentNetwork(nn.Module, ABC):
     """Predicts the next scaled posture and features from the present ones (Sec. II-B, II-C of the paper).
 
+    A subclass takes posture_size and feature_size and gives a `name` and `step`; no other file has to know it: see
+    models/registry.py.
+
     Attributes:
-        name: "lstm", "gru" or "mtrnn".
+        name: short, for file names and tables.
+        training_defaults: options of `training rnn` that hold where none are given.
+        spec: what NETWORKS finds the class by; weight files state it.
         posture_size, feature_size: parts of x and y, posture first.
         state_size: length S of the state; the common initial state c_0 is zero.
     """
 
     name: str
+    training_defaults: ClassVar[dict[str, Any]] = {"steps": 10_000, "posture_weight": 4.0, "learning_rate": 1e-3}
 
     def __init__(self, posture_size: int, feature_size: int, state_size: int, output_from: int) -> None:
         super().__init__()
+        self.spec = self.name
         self.posture_size, self.feature_size, self.state_size = posture_size, feature_size, state_size
         self.input_size = self.output_size = posture_size + feature_size
         self.output = nn.Linear(output_from, self.output_size)
@@ -44,7 +51,7 @@ class RecurrentNetwork(nn.Module, ABC):
 
         Args:
             x: (T, B, 38) inputs.
-            closed: (T, B, 1) bool: the sequence's own clipped prediction takes the input's place; not at the first tick.
+            closed: (T, B, 1) bool: the own clipped prediction takes the input's place; not at the first tick.
             state: (B, S).
 
         Returns:
@@ -87,11 +94,6 @@ class LSTM(RecurrentNetwork):
         h = o * torch.tanh(c)
         return self.output(h), torch.cat((h, c), 1)
 
-    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """See RecurrentNetwork.forward; the state gets no gradient."""
-        h, c = state.split(self.units, 1)
-        return LstmLoop.apply(x, closed, h, c, self.gates.weight, self.gates.bias, self.output.weight, self.output.bias)
-
 
 class GRU(RecurrentNetwork):
     """GRU, state h."""
@@ -115,11 +117,6 @@ class GRU(RecurrentNetwork):
         h = n + z * (state - n)
         return self.output(h), h
 
-    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """See RecurrentNetwork.forward; the state gets no gradient."""
-        parts = (self.from_input, self.from_hidden, self.output)
-        return GruLoop.apply(x, closed, state, *(p for part in parts for p in (part.weight, part.bias)))
-
 
 class MTRNN(RecurrentNetwork):
     """Multiple timescale RNN: u <- (1 - 1/tau) u + (1/tau)(weighted inputs), h = tanh(u); state [u_fast, u_slow].
@@ -129,6 +126,9 @@ class MTRNN(RecurrentNetwork):
     """
 
     name = "mtrnn"
+    # It has a twentieth of the LSTM's weights and spends them on the features unless the posture weighs more.
+    # At a rate of 1e-2 it diverges.
+    training_defaults: ClassVar[dict[str, Any]] = {"steps": 16_000, "posture_weight": 40.0, "learning_rate": 4e-3}
 
     def __init__(
         self,
@@ -159,11 +159,16 @@ class MTRNN(RecurrentNetwork):
         return MtrnnLoop.apply(x, closed, state, rate, *(p for part in parts for p in (part.weight, part.bias)))
 
 
-RNNS: dict[str, Callable[[int, int], RecurrentNetwork]] = {cls.name: cls for cls in (LSTM, GRU, MTRNN)}
+def make_rnn(spec: str, posture_size: int = 8, feature_size: int = 30) -> RecurrentNetwork:
+    """The network that `spec` names (models.networks.NETWORKS); raises InputError where there is none."""
+    network = network_class(spec)(posture_size, feature_size)
+    network.spec = spec
+    return network
 
 
-def make_rnn(name: str, posture_size: int = 8, feature_size: int = 30) -> RecurrentNetwork:
-    """A network of Table I by its name: "lstm", "gru" or "mtrnn"."""
-    if name not in RNNS:
-        raise ValueError(f"unknown network {name!r}; known: {', '.join(RNNS)}")
-    return RNNS[name](posture_size, feature_size)
+def network_class(spec: str) -> Any:
+    """The subclass of RecurrentNetwork that `spec` names; raises InputError where there is none."""
+    found = NETWORKS[spec]
+    if not (isinstance(found, type) and issubclass(found, RecurrentNetwork)):
+        raise InputError(f"the network '{spec}' is no RecurrentNetwork: make it a subclass (models/networks/rnn.py)")
+    return found

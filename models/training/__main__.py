@@ -1,29 +1,48 @@
-"""`python -m models.training {cae,rnn,recall} --data FILE.h5 --out DIR`: the three trainings in their order."""
+"""`python -m models.training {cae,rnn,recall,probe}`: the trainings in their order, and a probe of the features."""
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from typing import Any
 
+from models.command_line import run
+from models.errors import InputError
 
-def main(arguments: list[str] | None = None) -> int:
-    """Parses the command line and trains. Exit code 2: bad input, one clear line."""
+
+def parse(arguments: list[str] | None = None) -> Any:
+    """The options of the command that was given."""
     import tyro
 
+    from models.training.cae import CaeOptions
+    from models.training.probe import ProbeOptions
+    from models.training.recall import RecallOptions
+    from models.training.rnn import RnnOptions
+
+    commands: dict[str, Any] = {"cae": CaeOptions, "rnn": RnnOptions, "recall": RecallOptions, "probe": ProbeOptions}
+    return tyro.extras.subcommand_cli_from_dict(commands, args=arguments, description=__doc__)
+
+
+def main(options: Any) -> int:
+    """Does what the options' command says; raises InputError for what cannot be used."""
     from models.training.cae import CaeOptions, train_cae
+    from models.training.probe import ProbeOptions, run_probe
     from models.training.recall import RecallOptions, train_recall
     from models.training.rnn import RnnOptions, train_rnn
 
-    commands: dict[str, Any] = {"cae": CaeOptions, "rnn": RnnOptions, "recall": RecallOptions}
-    options = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, description=__doc__)
-    train: Any = {CaeOptions: train_cae, RnnOptions: train_rnn, RecallOptions: train_recall}[type(options)]
+    does: dict[Any, Callable[[Any], Any]] = {
+        CaeOptions: train_cae,
+        RnnOptions: train_rnn,
+        RecallOptions: train_recall,
+        ProbeOptions: run_probe,
+    }
     try:
-        train(options)
-    except (ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        does[type(options)](options)
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # a folder that cannot be made, a disk that is full
+        raise InputError(str(error)) from error
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main, parse)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from models.data.demonstrations import iterate_frames, read_demonstrations, read_header
+from models.data.demonstrations import content_of, iterate_frames, read_demonstrations, read_header
+from models.errors import InputError
 from models.files.weights import save_autoencoder
 from models.networks.cae import ConvolutionalAutoencoder, to_image
-from models.training.trainer import StepModule, TrainingOptions, fit, prepare, step_generator
+from models.training.trainer import Training, TrainingOptions, fit, prepare, step_generator
 
 
 @dataclass(kw_only=True)
@@ -31,6 +33,7 @@ class CaeOptions(TrainingOptions):
         colour: half range of the random brightness, contrast and channel gains.
         learning_rate: of Adam, decays to a hundredth by a cosine.
         checkpoint_every: updates between checkpoints.
+        device: "auto" takes a GPU if there is one; or torch's name of one ("cpu", "cuda").
     """
 
     max_images: int = 90_000
@@ -44,6 +47,7 @@ class CaeOptions(TrainingOptions):
     colour: float = 0.05
     learning_rate: float = 1e-3
     checkpoint_every: int = 200
+    device: str = "auto"
 
 
 def load_frames(path: Path, stride: int = 1) -> np.ndarray:
@@ -77,15 +81,14 @@ def augment(image: Tensor, noise: float, colour: float, generator: torch.Generat
     return (image - 0.5) * gain + (0.5 + offset) + noise * grain
 
 
-class CaeModule(StepModule):
+class CaeTraining(Training):
     """The autoencoder under training. Batches are uint8 (B, 112, 112, 3)."""
 
     median: Tensor
 
-    def __init__(self, options: CaeOptions, frames: np.ndarray, metadata: dict) -> None:
-        super().__init__(
-            max(1, options.max_images // options.batch_size), options.learning_rate, options.learning_rate / 100.0
-        )
+    def __init__(self, options: CaeOptions, frames: np.ndarray, metadata: dict[str, Any]) -> None:
+        rate = options.learning_rate
+        super().__init__(max(1, options.max_images // options.batch_size), rate, rate / 100.0)
         self.options, self.frames, self.metadata = options, torch.from_numpy(frames), metadata
         self.model = ConvolutionalAutoencoder(options.feature_activation)
         self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -99,10 +102,10 @@ class CaeModule(StepModule):
         first = step % per_pass * size
         return self.frames[order[first : first + size].sort().values]
 
-    def training_step(self, batch: Tensor, _: int) -> Tensor:
+    def loss(self, batch: Tensor, step: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Eq. 1 from an augmented to the clean picture, weighted."""
-        options, generator = self.options, step_generator(self.options.seed, self.trainer.global_step)
-        clean = to_image(batch)
+        options, generator = self.options, step_generator(self.options.seed, step)
+        clean = to_image(batch.to(self.median.device))
         feature = self.model.encode(augment(clean, options.noise, options.colour, generator))
         spread = feature + options.feature_noise * torch.randn(feature.shape, generator=generator).to(feature.device)
         error = (self.model.decode(spread) - clean).square()
@@ -110,14 +113,15 @@ class CaeModule(StepModule):
         moving = (clean - self.median).abs().amax(1, keepdim=True) > options.foreground_threshold
         weight = 1.0 + (options.foreground_weight - 1.0) * moving
         loss = (weight * error).mean() / weight.mean()
-        self.log("loss", loss.detach(), prog_bar=True)
-        self.log("mse", error.detach().mean())
-        self.log("least_feature_std", feature.detach().std(0).min(), prog_bar=True)
-        return loss
+        return loss, {"loss": loss, "mse": error.mean(), "least_feature_std": feature.std(0).min()}
 
-    def export(self, step: int, final: bool) -> None:
-        """Writes cae.safetensors with the present weights."""
-        save_autoencoder(self.options.out / "cae.safetensors", self.model, self.metadata | {"step": step})
+    def weight_file(self, done: int) -> Path:
+        """One for all checkpoints."""
+        return self.options.out / "cae.safetensors"
+
+    def export(self, path: Path, done: int) -> None:
+        """Writes the present weights."""
+        save_autoencoder(path, self.model, self.metadata | {"step": done})
 
 
 def train_cae(options: CaeOptions) -> Path:
@@ -126,5 +130,15 @@ def train_cae(options: CaeOptions) -> Path:
     frames = load_frames(options.data, options.frame_stride)
     metadata = {"training": options.as_metadata(), "data_hash": read_header(options.data).content_hash}
     print(f"{len(frames)} training frames, {frames.nbytes / 1e9:.2f} GB; {options.max_images} images to show")
-    fit(CaeModule(options, frames, metadata), options, options.checkpoint_every, log_every=20)
-    return options.out / "cae.safetensors"
+    training = CaeTraining(options, frames, metadata)
+    device = options.device
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        training.to(device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"--device {device} cannot be used ({reason}): choose auto, or cpu") from error
+    made_from = {"data": content_of(options.data)}
+    fit(training, options, made_from, name="cae", log_every=20)
+    return training.weight_file(training.steps)

@@ -9,13 +9,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from models.data.demonstrations import read_header
-from models.data.sequences import Augmentation, SequencePack, make_batch, run
-from models.files.weights import StoredPolicy, WeightsError, load_policy, save_policy
+from models.data.augmentation import Augmentation
+from models.data.demonstrations import content_of, read_demonstrations
+from models.data.sequences import SequencePack, make_batch, run
+from models.errors import InputError
+from models.files.tensors import WeightsError, file_hash
+from models.files.weights import StoredPolicy, load_policy, save_policy
 from models.inference import Encoder
 from models.networks.recall import RecallHeads
-from models.training.rnn import JOINTS, prepare_sequences
-from models.training.trainer import StepModule, TrainingOptions, fit, prepare, step_generator
+from models.training.checkpoint import refuse_other
+from models.training.rnn import JOINTS, SequenceTraining, prepare_sequences
+from models.training.trainer import TrainingOptions, fit, prepare
 
 
 @dataclass(kw_only=True)
@@ -33,8 +37,8 @@ class RecallOptions(TrainingOptions):
         learning_rate: of Adam, decays to final_rate by a cosine.
         final_rate: see learning_rate.
         checkpoint_every: updates between checkpoints.
-        augmentation: of the inputs, as in the network's training, but with more and longer standstills before the loop is closed: to
-            recall the way that should have been gone is what gives a stopped arm away.
+        augmentation: of the inputs, as in the network's training, but with more and longer standstills before the loop
+            is closed: to recall the path that should have been taken is what gives a stopped arm away.
     """
 
     policy: tuple[Path, ...]
@@ -48,7 +52,6 @@ class RecallOptions(TrainingOptions):
     final_rate: float = 2e-5
     checkpoint_every: int = 500
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(loop_probability=0.6, hold_probability=1.0))
-    accelerator: str = "cpu"  # a tick at a time on 16 sequences is no work for a GPU: its launches alone take longer
 
 
 def recall_targets(clean: Tensor, horizon: int) -> Tensor:
@@ -58,49 +61,34 @@ def recall_targets(clean: Tensor, horizon: int) -> Tensor:
     return clean[past].transpose(1, 2)
 
 
-class RecallModule(StepModule):
+class RecallTraining(SequenceTraining):
     """Recall heads under training. The network takes no gradient and never changes."""
 
-    pool: Tensor
-
     def __init__(self, options: RecallOptions, train: SequencePack, policy: StoredPolicy, out: Path) -> None:
-        super().__init__(options.steps, options.learning_rate, options.final_rate)
-        self.options, self.pack, self.policy, self.out = options, train, policy, out
-        # Not in eval mode, of which Lightning would warn; no layer of it differs there.
-        self.rnn = rnn = policy.rnn.train().requires_grad_(False)
-        self.heads = RecallHeads(rnn.state_size, rnn.posture_size, options.horizon, options.hidden or None)
-        self.initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
-        self.register_buffer("pool", torch.zeros(256, rnn.state_size))
+        super().__init__(options, 0.5, train, policy)
+        self.rnn.requires_grad_(False)
+        self.heads = RecallHeads(self.rnn.state_size, self.rnn.posture_size, options.horizon, options.hidden or None)
+        self.out = out
 
-    def make_batch(self, step: int) -> Any:
-        """As in the network's training: half of the sequences start from a late state of an earlier one."""
-        options, generator = self.options, step_generator(self.options.seed, step)
-        index = torch.randint(0, len(self.pack.length), (options.batch_size,), generator=generator)
-        batch = make_batch(self.pack.pick(index), self.initial, JOINTS, options.augmentation, generator)
-        carried = torch.rand(options.batch_size, generator=generator) < 0.5
-        start = torch.randint(0, len(self.pool), (options.batch_size,), generator=generator) * carried
-        end = 1 + (step * options.batch_size + torch.arange(options.batch_size)) % (len(self.pool) - 1)
-        return batch, start, end
-
-    def training_step(self, data: Any, _: int) -> Tensor:
+    def loss(self, data: Any, step: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Eq. 4 on every valid tick, and on c_0, which recalls the first posture."""
-        batch, start, end = data
+        batch = data[0]
         with torch.no_grad():
-            states = run(self.rnn, batch, self.pool[start])[1]
-            self.pool[end] = states[batch.carry, torch.arange(states.shape[1])]
+            states = self.run(data)[1]
         valid = batch.valid[: len(states)] > 0
         target = recall_targets(batch.clean[: len(states)], self.options.horizon)
         loss = (self.heads(states[valid]) - target[valid]).square().mean()
-        first = self.heads(self.rnn.initial_state(1)) - self.initial.to(self.device)
-        self.log("loss", loss.detach(), prog_bar=True)
-        self.log("rms", loss.detach().sqrt(), prog_bar=True)
-        return loss + 0.01 * first.square().mean()
+        first = self.heads(self.rnn.initial_state(1)) - self.initial
+        return loss + 0.01 * first.square().mean(), {"loss": loss, "rms": loss.sqrt()}
 
-    def export(self, step: int, final: bool) -> None:
-        """Writes the policy file once the heads are done."""
-        if final:
-            self.policy.recall = self.heads
-            save_policy(self.out, self.policy)
+    def weight_file(self, done: int) -> Path | None:
+        """The policy file once the heads are done."""
+        return self.out if done == self.steps else None
+
+    def export(self, path: Path, done: int) -> None:
+        """Writes network and heads."""
+        self.policy.recall = self.heads
+        save_policy(path, self.policy)
 
 
 @torch.inference_mode()
@@ -118,28 +106,38 @@ def recall_errors(policy: StoredPolicy, pack: SequencePack) -> Tensor:
 
 def train_recall(options: RecallOptions) -> list[Path]:
     """Trains heads for each candidate in turn; skips those whose policy file is there. Returns the policy files."""
-    prepare(options)
-    encoder, content_hash = Encoder(options.encoder), read_header(options.data).content_hash
+    encoder, demos = Encoder(options.encoder), read_demonstrations(options.data)
     written = []
     for path in options.policy:
+        prepare(options)  # the same heads for a candidate whether others came before it or not
         policy = load_policy(path)
         if policy.encoder_hash != encoder.hash:
             raise WeightsError(path, f"was trained with another autoencoder than {options.encoder}", "Give that one")
         out = options.out / ("policy-" + path.stem.removeprefix("rnn-") + ".safetensors")
         written.append(out)
         if out.is_file():
+            _check_done(out, options, path, policy)
             print(f"{out} is there already")
             continue
-        prepare(options)  # the same heads for a candidate whether others came before it or not
         target = policy.metadata.get("training", {}).get("target", "posture")
-        train, valid, _ = prepare_sequences(
-            options, encoder, policy.scaling, policy.initial_posture, policy.regulator_gain, target, content_hash
-        )
+        packs = prepare_sequences(options, demos, encoder, policy.scaling, target)
         policy.metadata["recall_training"] = options.as_metadata()
-        fit(RecallModule(options, train, policy, out), options, options.checkpoint_every, name=out.stem)
-        rms = recall_errors(policy, valid).sqrt().tolist()
+        made_from = {"data": content_of(options.data), "policy": file_hash(path)}
+        fit(RecallTraining(options, packs["train"], policy, out), options, made_from, name=out.stem)
+        rms = recall_errors(policy, packs["valid"]).sqrt().tolist()
         print(
             f"{out}: rms recall error of the joints on validation, scaled, n = 1..{len(rms)}: "
             + " ".join(f"{value:.4f}" for value in rms)
         )
     return written
+
+
+def _check_done(out: Path, options: RecallOptions, path: Path, candidate: StoredPolicy) -> None:
+    """Raises InputError where `out` holds another network, or heads that were trained with other options."""
+    done = load_policy(out)
+    refuse_other(out, done.metadata.get("recall_training", {}), options.as_metadata())
+    states = done.rnn.state_dict(), candidate.rnn.state_dict()
+    if states[0].keys() != states[1].keys() or not all(
+        torch.equal(states[0][name], states[1][name]) for name in states[0]
+    ):
+        raise InputError(f"{out} was made from another network than {path}: give another --out")

@@ -1,22 +1,31 @@
-"""What the three trainings share: options, batches that depend on (seed, step) alone, checkpoints, the Trainer."""
+"""What the trainings share: options and the loop over updates.
+
+A plain loop, no Lightning: it is shorter than what bent its Trainer to batches by (seed, step) and one checkpoint.
+"""
 
 from __future__ import annotations
 
+import csv
 import ctypes
-import logging
-import os
+import math
+import signal
 import sys
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import lightning
 import torch
-from lightning.pytorch.callbacks import Callback, TQDMProgressBar
-from lightning.pytorch.loggers import CSVLogger
-from torch.utils.data import DataLoader, IterableDataset
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from models.errors import InputError
+from models.training.checkpoint import Checkpoint
+
+# Options that name places and this machine: they are not written into weight files.
+_LOCAL = {"data", "out", "threads", "progress", "device", "encoder", "features", "policy", "start_from"}
+_COUNTS = ("steps", "batch_size", "max_images", "frame_stride", "horizon", "checkpoint_every", "validate_every")
 
 
 @dataclass(kw_only=True)
@@ -25,10 +34,10 @@ class TrainingOptions:
 
     Args:
         data: data set of diagrams/teach.py (HDF5).
-        out: folder for checkpoints, logs and weight files; a training found there is resumed.
-        seed: draws initial weights, batches and augmentation.
+        out: folder for the checkpoint, the log (CSV) and the weight files. The same command goes on with a training
+            found there; other options, data or seeds are refused.
+        seed: of initial weights, batches and augmentation.
         threads: threads of torch; 0 leaves torch's choice.
-        accelerator: "auto" takes a GPU if there is one.
         progress: show a progress bar.
     """
 
@@ -36,136 +45,151 @@ class TrainingOptions:
     out: Path
     seed: int = 0
     threads: int = 0
-    accelerator: str = "auto"
     progress: bool = True
+
+    def __post_init__(self) -> None:
+        for name in _COUNTS:
+            value = getattr(self, name, None)
+            if value is not None and value < 1:
+                raise InputError(f"--{name.replace('_', '-')} {value} is out of range: choose 1 or more")
 
     def as_metadata(self) -> dict[str, Any]:
         """The options for a weight file, without what belongs to this machine."""
-        skip = {"data", "out", "threads", "progress", "accelerator", "encoder", "features", "policy", "start_from"}
-        return {key: value for key, value in asdict(self).items() if key not in skip}
+        return {key: value for key, value in asdict(self).items() if key not in _LOCAL}
 
 
-def step_generator(seed: int, step: int) -> torch.Generator:
-    """A random generator for one update: a resumed training draws what an unbroken one would have drawn."""
-    return torch.Generator().manual_seed(seed * 1_000_003 + step)
+class Training(nn.Module):
+    """What is trained for `steps` updates with Adam; the rate falls from learning_rate to final_rate by a cosine.
 
-
-class StepBatches(IterableDataset):
-    """Yields make(step) for step = start..stop - 1; its length counts from 0, as Lightning's resumed loop does."""
-
-    def __init__(self, make: Callable[[int], Any], start: int, stop: int) -> None:
-        self.make, self.start, self.stop = make, start, stop
-
-    def __len__(self) -> int:
-        return self.stop
-
-    def __iter__(self) -> Iterator[Any]:
-        return (self.make(step) for step in range(self.start, self.stop))
-
-
-class StepModule(lightning.LightningModule):
-    """A LightningModule trained for `steps` updates; subclasses give make_batch(step), training_step and export.
-
-    Learning rate: cosine from learning_rate to final_rate.
+    Its state_dict is all that changes from update to update (beside Adam's own state).
     """
 
     def __init__(self, steps: int, learning_rate: float, final_rate: float) -> None:
         super().__init__()
         self.steps, self.learning_rate, self.final_rate = steps, learning_rate, final_rate
 
+    def rate(self, step: int) -> float:
+        """The learning rate of update `step`, counted from 0."""
+        share = 0.5 * (1.0 + math.cos(math.pi * step / self.steps))
+        return self.final_rate + (self.learning_rate - self.final_rate) * share
+
     def make_batch(self, step: int) -> Any:
-        """The batch of one update, by (seed, step) alone."""
+        """The batch of one update, by (seed, step) alone: a resumed training takes the batches of an unbroken one."""
         raise NotImplementedError
 
-    def export(self, step: int, final: bool) -> None:
-        """Writes weight files at a checkpoint."""
+    def loss(self, batch: Any, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+        """What is minimised, and figures for the log."""
+        raise NotImplementedError
 
-    def train_dataloader(self) -> DataLoader:
-        """Batches from the present update on."""
-        return DataLoader(StepBatches(self.make_batch, self.trainer.global_step, self.steps), batch_size=None)
+    def validate(self, done: int) -> dict[str, float]:
+        """Figures on the validation split after `done` updates; {} where none are due."""
+        return {}
 
-    def configure_optimizers(self) -> Any:
-        """Adam (0.9, 0.999) with cosine decay, stepped every update."""
-        parameters = [parameter for parameter in self.parameters() if parameter.requires_grad]
-        optimizer = torch.optim.Adam(parameters, self.learning_rate, (0.9, 0.999), fused=True)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(self.steps, 1), self.final_rate)
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+    def weight_file(self, done: int) -> Path | None:
+        """The weight file that goes with the checkpoint after `done` updates; None where none does."""
+        raise NotImplementedError
+
+    def export(self, path: Path, done: int) -> None:
+        """Writes that weight file."""
+        raise NotImplementedError
 
 
-class Checkpoint(Callback):
-    """Every `every` updates: DIR/last.ckpt, replaced in one go so that a kill never leaves half a file, and export."""
-
-    def __init__(self, path: Path, every: int) -> None:
-        self.path, self.every = path, every
-
-    def on_train_batch_end(self, trainer: Any, module: Any, *_: Any) -> None:
-        """Lightning's hook after each update."""
-        if trainer.global_step % self.every == 0 and trainer.global_step < module.steps:
-            self._write(trainer, module, final=False)
-
-    def on_train_end(self, trainer: Any, module: Any) -> None:
-        """Lightning's hook at the end."""
-        if trainer.global_step >= module.steps:
-            self._write(trainer, module, final=True)
-
-    def _write(self, trainer: Any, module: Any, final: bool) -> None:
-        partial = self.path.with_suffix(".part")
-        trainer.save_checkpoint(partial)
-        os.replace(partial, self.path)
-        module.export(trainer.global_step, final)
+def step_generator(seed: int, step: int) -> torch.Generator:
+    """The random generator of one update."""
+    return torch.Generator().manual_seed(seed * 1_000_003 + step)
 
 
 def fit(
-    module: StepModule,
-    options: TrainingOptions,
-    checkpoint_every: int,
-    clip: float | None = None,
-    log_every: int = 50,
-    name: str = "last",
+    training: Training, options: Any, made_from: dict[str, str], name: str, clip: float = math.inf, log_every: int = 50
 ) -> None:
-    """Trains to module.steps, from DIR/NAME.ckpt if there is one; metrics go to DIR/logs."""
-    checkpoint = options.out / f"{name}.ckpt"
-    callbacks: list[Callback] = [Checkpoint(checkpoint, checkpoint_every)]
-    if options.progress:
-        callbacks.append(TQDMProgressBar(refresh_rate=10))
-    trainer = lightning.Trainer(
-        accelerator=options.accelerator,
-        devices=1,
-        max_steps=module.steps,
-        max_epochs=-1,
-        callbacks=callbacks,
-        logger=CSVLogger(options.out, name="logs", flush_logs_every_n_steps=log_every),
-        log_every_n_steps=min(log_every, module.steps),
-        enable_checkpointing=False,
-        enable_progress_bar=options.progress,
-        enable_model_summary=False,
-        gradient_clip_val=clip,
-        num_sanity_val_steps=0,
-        use_distributed_sampler=False,
-    )
-    trainer.fit(module, ckpt_path=checkpoint if checkpoint.is_file() else None)
+    """Trains to training.steps, from OUT/NAME.ckpt if it is there; logs to OUT/NAME.csv and OUT/NAME-validation.csv.
+
+    Args:
+        training: see Training.
+        options: TrainingOptions with checkpoint_every.
+        made_from: hashes of data and weights that the training starts from.
+        name: of the checkpoint and the log.
+        clip: largest norm of the gradient.
+        log_every: updates between rows of the log.
+
+    Raises:
+        InputError: the checkpoint is damaged or of another training; the loss or a weight is not finite.
+        SystemExit: 143 after SIGTERM, with a checkpoint of the last whole update.
+    """
+    training.train()
+    parameters = [parameter for parameter in training.parameters() if parameter.requires_grad]
+    optimizer = torch.optim.Adam(parameters, training.learning_rate, fused=True)
+    checkpoint = Checkpoint(options.out / f"{name}.ckpt", training, optimizer, options.as_metadata() | made_from)
+    log, validation_log = (options.out / f"{name}{ending}.csv" for ending in ("", "-validation"))
+    start, steps = checkpoint.load(), training.steps
+    for path in (log, validation_log):
+        _drop_rows(path, start)
+    if start == steps:
+        print(f"{checkpoint.path}: all {start} updates are done")
+    bar = tqdm(range(start, steps), initial=start, total=steps, disable=None if options.progress else True)
+    with _termination() as terminated:
+        for step in bar:
+            optimizer.param_groups[0]["lr"] = training.rate(step)
+            loss, figures = training.loss(training.make_batch(step), step)
+            if not math.isfinite(loss.item()):
+                raise checkpoint.diverged(f"the loss of update {step + 1} is {loss.item()}")
+            optimizer.zero_grad()
+            loss.backward()
+            if clip < math.inf:
+                nn.utils.clip_grad_norm_(parameters, clip)
+            optimizer.step()
+            done = step + 1
+            if done % log_every == 0 or done == steps:
+                row = {key: value.item() for key, value in figures.items()}
+                _add_row(log, {"update": done, "rate": training.rate(step)} | row)
+                bar.set_postfix({key: f"{value:.3g}" for key, value in row.items()}, refresh=False)
+            if valid := training.validate(done):
+                _add_row(validation_log, {"update": done} | valid)
+                bar.write(f"update {done}: " + ", ".join(f"{key} {value:.4f}" for key, value in valid.items()))
+            due = done % options.checkpoint_every == 0 or done == steps
+            if due or terminated:
+                checkpoint.save(done, export=due)
+            if terminated and done < steps:
+                bar.close()
+                print(f"terminated after update {done} of {steps}: the same command goes on", file=sys.stderr)
+                raise SystemExit(143)
 
 
-def keep_freed_memory() -> None:
-    """Has glibc keep large freed blocks: handing them back to the kernel after every update costs time."""
-    if sys.platform == "linux":
-        try:
-            libc = ctypes.CDLL("libc.so.6")
-        except OSError:  # another C library: only slower
-            return
-        libc.mallopt(-4, 0)  # M_MMAP_MAX
-        libc.mallopt(-1, 2**31 - 1)  # M_TRIM_THRESHOLD
+@contextmanager
+def _termination() -> Iterator[list[int]]:
+    """A list that is no longer empty once the process was asked to end (SIGTERM)."""
+    received: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: received.append(number))
+    try:
+        yield received
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _add_row(path: Path, row: dict[str, Any]) -> None:
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, row)
+        if not file.tell():
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def _drop_rows(path: Path, done: int) -> None:
+    """Drops the rows of updates beyond `done`, which come once more, and a row that was cut off."""
+    if path.exists():
+        header, *rows = path.read_text().splitlines(keepends=True) or [""]
+        kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= done]
+        path.write_text("".join([header, *kept]) if kept else "")
 
 
 def prepare(options: TrainingOptions) -> None:
-    """The output folder, threads, seed, and the quirks of Lightning that tell a user nothing."""
+    """The output folder, threads and seed."""
     options.out.mkdir(parents=True, exist_ok=True)
-    keep_freed_memory()
-    warnings.filterwarnings(
-        "ignore",
-        "(?s).*(isinstance\\(treespec|IterableDataset|resuming from a checkpoint|does not have many workers).*",
-    )
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    with suppress(OSError, AttributeError):  # glibc alone has it; another C library is only slower
+        # Large freed blocks are kept: handing them back to the kernel after every update costs time.
+        libc = ctypes.CDLL("libc.so.6")
+        libc.mallopt(-4, 0)  # M_MMAP_MAX
+        libc.mallopt(-1, 2**31 - 1)  # M_TRIM_THRESHOLD
     if options.threads > 0:
         torch.set_num_threads(options.threads)
-    lightning.seed_everything(options.seed, verbose=False)
+    torch.manual_seed(options.seed)

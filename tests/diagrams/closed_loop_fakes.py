@@ -11,7 +11,7 @@ from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS
 from diagrams.world.station import PickPlaceStation
-from diagrams.world.trajectory import SUBTASK_STEPS, commands, subtask_waypoints
+from diagrams.world.trajectory import subtask_commands
 from models.data.scaling import MinMaxScaling
 
 WAITING, PICKING, PLACING, PICKING_AGAIN = range(4)
@@ -45,7 +45,7 @@ class FakePolicy:
     state_size = 3 + (horizon + 1) * posture_size
     regulator_gain = 0.1
     beta, gamma = 30.0, 60.0
-    hash = "fake"
+    hash = name = "fake"
 
     def __init__(self, world: World):
         self._world = world
@@ -61,24 +61,23 @@ class FakePolicy:
         # n = 0 compares with the prediction, which is the residual of the LQR and no posture: hardly to be relied on.
         self.reference_errors = np.array([1.0] + [2e-6] * self.horizon)
         self.inputs = []
-        self._ways = {}
+        self._paths = {}
 
     def learn(self, episode: Episode) -> None:
         """What training would have taught it about the scene of `episode`."""
 
-        def way(centre, subtask):
-            waypoints = subtask_waypoints(self._world, self._hand, np.asarray(centre), subtask)
-            rows = commands(waypoints, SUBTASK_STEPS[subtask - 1])
+        def path(centre, subtask):
+            rows = subtask_commands(self._world, self._hand, np.asarray(centre), subtask)
             away = np.flatnonzero(np.abs(rows - self.initial_posture)[:, :-1].max(axis=1) > 1e-9)
             # Without the dwells: at the initial posture it waits for what it sees.
             return self.scaling.scale(rows[away[0] : away[-1] + 2])
 
-        self._ways = {
-            PICKING: way([*episode.can_xy, CAN_HALF_HEIGHT], 1),
-            PLACING: way(self._spots[episode.vacant], 2),
+        self._paths = {
+            PICKING: path([*episode.can_xy, CAN_HALF_HEIGHT], 1),
+            PLACING: path(self._spots[episode.vacant], 2),
         }
         if episode.disturbance.can_moved_to is not None:
-            self._ways[PICKING_AGAIN] = way([*episode.disturbance.can_moved_to, CAN_HALF_HEIGHT], 1)
+            self._paths[PICKING_AGAIN] = path([*episode.disturbance.can_moved_to, CAN_HALF_HEIGHT], 1)
         self.inputs = []
 
     def step(self, x, state):
@@ -92,7 +91,7 @@ class FakePolicy:
         if doing == WAITING and tick > SETTLING:  # from then on it is heard
             closed = posture[-1] < home[-1] - 0.3
             if features[1] > 0.5:
-                doing = PICKING_AGAIN if had_can and PICKING_AGAIN in self._ways else PICKING
+                doing = PICKING_AGAIN if had_can and PICKING_AGAIN in self._paths else PICKING
             elif closed:
                 doing, had_can = PLACING, 1
             if doing != WAITING:
@@ -100,10 +99,10 @@ class FakePolicy:
         if doing == WAITING:
             here, goal = np.append(home[:-1], posture[-1]), np.append(home[:-1], posture[-1])
         else:
-            way = self._ways[doing]
-            here, goal = way[tick - 1] if tick else np.append(home[:-1], posture[-1]), way[tick]
+            path = self._paths[doing]
+            here, goal = path[tick - 1] if tick else np.append(home[:-1], posture[-1]), path[tick]
             tick += 1
-            if tick == len(way):
+            if tick == len(path):
                 doing, tick = WAITING, 0
         residual = goal.copy()
         residual[:-1] += self.regulator_gain * (posture - home)[:-1]

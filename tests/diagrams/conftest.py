@@ -27,7 +27,7 @@ def hand(world):
 
 
 @pytest.fixture(scope="session")
-def draws(world):
+def sampler(world):
     return EpisodeSampler(world)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -13,6 +14,7 @@ from models.files.weights import StoredPolicy, save_autoencoder
 from models.networks.cae import ConvolutionalAutoencoder, to_image
 from models.networks.recall import RecallHeads
 from models.networks.rnn import make_rnn
+from models.training.rnn import RnnOptions
 from tests.models import synthetic
 
 
@@ -24,6 +26,39 @@ def one_thread() -> None:
 @pytest.fixture(scope="session")
 def data_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return synthetic.write(tmp_path_factory.mktemp("data") / "tiny.h5", grid=2, ticks=(48, 52))
+
+
+@pytest.fixture(scope="session")
+def grown_data_file(data_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same data set after two more demonstrations were recorded; its content hash is the same."""
+    path = tmp_path_factory.mktemp("grown") / "grown.h5"
+    path.write_bytes(data_file.read_bytes())
+    with h5py.File(path, "a") as file:
+        for name, split in (("demo_8", "train"), ("demo_9", "valid")):
+            file.copy("data/demo_0", f"data/{name}")
+            names = [*file[f"mask/{split}"][()], name.encode()]
+            del file[f"mask/{split}"]
+            file[f"mask/{split}"] = np.array(names, "S")
+    return path
+
+
+@pytest.fixture(scope="session")
+def rnn_options(data_file: Path, encoder_file: Path) -> RnnOptions:
+    """Four updates of a small network from outside; `out` is for the test to choose."""
+    return RnnOptions(
+        data=data_file,
+        encoder=encoder_file,
+        out=data_file.parent,
+        features=data_file.with_name("features.npz"),  # encoded once
+        rnn="tests.models.outside:Elman",
+        steps=4,
+        posture_weight=4.0,
+        learning_rate=0.01,
+        batch_size=4,
+        checkpoint_every=2,
+        validate_every=2,
+        progress=False,
+    )
 
 
 @pytest.fixture(scope="session")

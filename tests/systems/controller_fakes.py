@@ -9,20 +9,11 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantValueSource, LogVectorOutput
 from pydrake.systems.sensors import ImageRgba8U
 
+from models.data.scaling import MinMaxScaling
+from systems.detectors import DETECTORS
 from systems.switched_controller import SwitchedController
 
 PERIOD = 0.1
-
-
-@dataclass(frozen=True)
-class FakeScaling:
-    """Like models.data.scaling.MinMaxScaling."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-
-    def scale(self, x):
-        return 2.0 * (np.asarray(x) - self.lower) / (self.upper - self.lower) - 1.0
 
 
 @dataclass
@@ -50,11 +41,10 @@ class FakePolicy:
         self.feature_size = feature_size
         self.horizon = horizon
         self.state_size = (horizon + 1) * self.posture_size
-        self.scaling = FakeScaling(-2.0 * np.ones(self.posture_size), np.arange(1.0, self.posture_size + 1))
+        self.scaling = MinMaxScaling(-2.0 * np.ones(self.posture_size), np.arange(1.0, self.posture_size + 1))
         self.initial_posture = np.linspace(-0.5, 0.5, self.posture_size)
         self.initial_state = np.tile(self.scaling.scale(self.initial_posture), horizon + 1)
-        self.reference_errors = np.full(horizon + 1, 1e-4)
-        self.beta, self.gamma = 30.0, 60.0
+        self.calibration = np.full(horizon + 1, 1e-4), 30.0, 60.0  # reference errors, beta, gamma
         self.regulator_gain = gain
         self.drift, self.nonsense = drift, nonsense
         self.inputs, self.log = [], []
@@ -95,11 +85,12 @@ def image(value=51, size=112):
     return picture
 
 
-def make_controller(encoder=None, policy=None, **arguments):
-    """A controller with wide limits around fakes."""
+def make_controller(encoder=None, policy=None, detector=None, **arguments):
+    """A controller with wide limits around fakes; its detector is not calibrated."""
     policy = policy or FakePolicy()
     n = policy.posture_size
     defaults = dict(
+        joints=n - 1,
         regulator_Q=1.0,
         regulator_R=90.0,
         joint_lower=np.full(n, -10.0),
@@ -107,13 +98,15 @@ def make_controller(encoder=None, policy=None, **arguments):
         speed_limits=np.full(n, 100.0),
         period=PERIOD,
     )
-    return SwitchedController(encoder or FakeEncoder(policy.feature_size), policy, **(defaults | arguments))
+    encoder = encoder or FakeEncoder(policy.feature_size)
+    detector = detector or DETECTORS["recall"].build(policy, n - 1, {})
+    return SwitchedController(encoder, policy, detector, **(defaults | arguments))
 
 
 class ClosedLoop:
-    """The controller, a grey image, and an arm; optionally a log of one of its outputs at the ticks."""
+    """The controller with a calibration, a grey image, and an arm; optionally a log of an output at the ticks."""
 
-    def __init__(self, controller, arm, logged=None):
+    def __init__(self, controller, arm, calibration, logged=None):
         builder = DiagramBuilder()
         self.controller = builder.AddNamedSystem("controller", controller)
         self.arm = builder.AddNamedSystem("arm", arm)
@@ -123,8 +116,14 @@ class ClosedLoop:
         builder.Connect(controller.GetOutputPort("desired_posture"), arm.get_input_port())
         self.log = None if logged is None else LogVectorOutput(controller.GetOutputPort(logged), builder, PERIOD)
         self.diagram = builder.Build()  # raises on an algebraic loop
-        self.simulator = Simulator(self.diagram)
+        self.calibration = calibration
+        self.simulator = Simulator(self.diagram, self.fresh_context())
         self.simulator.Initialize()
+
+    def fresh_context(self):
+        context = self.diagram.CreateDefaultContext()
+        self.controller.set_calibration(context, *self.calibration)
+        return context
 
     def output(self, name):
         context = self.controller.GetMyContextFromRoot(self.simulator.get_context())

@@ -2,7 +2,6 @@
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
@@ -12,45 +11,43 @@ def fix(system, context: Context, inputs: dict) -> None:
         system.GetInputPort(name).FixValue(context, value)
 
 
-def evaluate(system, output: str, inputs: dict):
-    """The output `output` with the given inputs and a default Context."""
+def evaluate(system, output: str, inputs: dict, calibration=None):
+    """The output `output` with the given inputs; `calibration`: of a detector, reference errors, beta and gamma."""
     context = system.CreateDefaultContext()
+    if calibration is not None:
+        system.set_calibration(context, *calibration)
     fix(system, context, inputs)
     return system.GetOutputPort(output).Eval(context)
 
 
-def evaluate_autodiff(system, output: str, inputs: dict, with_respect_to: str):
-    """The value of `output` and its gradient with respect to one input, by the system converted to AutoDiffXd."""
+def evaluate_autodiff(system, output: str, inputs: dict, with_respect_to: str, context: Context | None = None):
+    """The value of `output` and its gradient with respect to one input, by the system converted to AutoDiffXd.
+
+    `context`: of the system in floats, whose parameters are taken.
+    """
     system = system.ToAutoDiffXd()
+    converted = system.CreateDefaultContext()
+    if context is not None:
+        converted.SetTimeStateAndParametersFrom(context)
     inputs = {name: np.array([AutoDiffXd(x) for x in np.atleast_1d(value)]) for name, value in inputs.items()}
     size = len(inputs[with_respect_to])
     seeds = zip(inputs[with_respect_to], np.eye(size), strict=True)
     inputs[with_respect_to] = np.array([AutoDiffXd(x.value(), unit) for x, unit in seeds])
-    result = evaluate(system, output, inputs)
+    fix(system, converted, inputs)
+    result = system.GetOutputPort(output).Eval(converted)
     gradients = [x.derivatives() if len(x.derivatives()) else np.zeros(size) for x in result]
     return np.array([x.value() for x in result]), np.array(gradients)
 
 
-def evaluate_symbolic(system, output: str, inputs: dict):
-    """`output` as Expressions of Variables, by the system converted to Expression, evaluated at the inputs."""
-    system = system.ToSymbolic()
-    environment, variables = {}, {}
-    for name, value in inputs.items():
-        value = np.atleast_1d(np.asarray(value, dtype=float))
-        symbols = MakeVectorVariable(len(value), name)
-        environment |= dict(zip(symbols, value, strict=True))
-        variables[name] = np.array([Expression(v) for v in symbols])
-    # Drake keeps an Expression's pointer in the bits of a NaN, which numpy takes for an invalid operation.
-    with np.errstate(invalid="ignore"):
-        return np.array([x.Evaluate(environment) for x in evaluate(system, output, variables)])
+def outputs(system, context: Context) -> dict:
+    """Every output by its name."""
+    ports = map(system.get_output_port, range(system.num_output_ports()))
+    return {port.get_name(): port.Eval(context) for port in ports}
 
 
 def snapshot(system, context: Context) -> dict:
     """All outputs and the discrete state as bytes."""
-    bits = {}
-    for i in range(system.num_output_ports()):
-        port = system.get_output_port(i)
-        bits[port.get_name()] = np.asarray(port.Eval(context)).tobytes()
+    bits: dict = {name: np.asarray(value).tobytes() for name, value in outputs(system, context).items()}
     for i in range(context.num_discrete_state_groups()):
         bits[i] = np.array(context.get_discrete_state(i).value()).tobytes()
     return bits

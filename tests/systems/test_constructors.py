@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from systems.alpha_mixer import AlphaMixer
-from systems.detector import RecallDetector, check_detector
 from systems.disturbance import Disturbance
+from systems.dwell_time import DwellTime
 from systems.image_encoder import ImageEncoder
 from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
 from systems.posture_regulator import make_posture_regulator
+from systems.recall_detector import RecallDetector
 from systems.recurrent_policy import RecurrentPolicy
 from tests.systems.controller_fakes import FakeEncoder, FakePolicy, make_controller
 
@@ -23,14 +24,12 @@ def build(function, defaults):
 encoder = build(ImageEncoder, dict(encoder=FakeEncoder()))
 history = build(PostureHistory, dict(posture_size=4, horizon=2, period=0.1, initial_posture=ONES))
 closer = build(LoopCloser, dict(posture_size=4, feature_size=4))
-detector = build(
-    RecallDetector,
-    dict(posture_size=4, horizon=2, state_size=12, reference_errors=np.ones(3), beta=30.0, gamma=60.0),
-)
+dwell = build(DwellTime, dict(history=4, dwell_ticks=3))
+detector = build(RecallDetector, dict(posture_size=4, horizon=2, state_size=12, joints=3))
 regulator = build(
     make_posture_regulator, dict(posture_size=4, joints=3, initial_posture=ONES, Q=1.0, R=90.0, period=0.1)
 )
-mixer = build(AlphaMixer, dict(posture_size=4, lower=-ONES, upper=ONES, max_step=ONES))
+mixer = build(AlphaMixer, dict(posture_size=4, joints=3, lower=-ONES, upper=ONES, max_step=ONES))
 disturbance = build(Disturbance, dict(posture_size=4))
 
 
@@ -42,7 +41,7 @@ def policy(period=0.1, **attributes):
 
 
 def controller(**arguments):
-    attributes = {n: arguments.pop(n) for n in ("regulator_gain", "reference_errors", "feature_size") if n in arguments}
+    attributes = {n: arguments.pop(n) for n in ("regulator_gain", "feature_size") if n in arguments}
     fake = FakePolicy()
     for name, value in attributes.items():
         setattr(fake, name, value)
@@ -61,33 +60,24 @@ CASES = [
     (history, dict(initial_posture=np.full(4, np.nan)), "initial_posture is .*nan.*finite"),
     (closer, dict(posture_size=0), "posture_size is 0.*at least 1"),
     (closer, dict(feature_size=1.5), "feature_size is 1.5.*whole number"),
-    (detector, dict(reference_errors=np.zeros(3)), "reference_errors is .*greater than 0.*calibrate"),
-    (detector, dict(reference_errors=np.ones(2)), r"reference_errors has shape \(2,\).*\(3,\)"),
-    (detector, dict(beta=-1.0), "beta is -1.0.*greater than 0"),
-    (detector, dict(gamma=np.inf), "gamma is .*inf.*finite"),
-    (detector, dict(component_weights=np.zeros(4)), "component_weights.*weight at least one"),
-    (detector, dict(component_weights=-ONES), "component_weights.*at least 0"),
-    (regulator, dict(joints=5), "joints is 5, posture_size only 4"),
+    (dwell, dict(dwell_ticks=4), "dwell_ticks is 4.*at most 3"),
+    (detector, dict(joints=5), "joints is 5.*at least 1 and at most 4"),
+    (detector, dict(horizon=0), "horizon is 0.*at least 1"),
+    (regulator, dict(joints=5), "joints is 5.*at most 4"),
     (regulator, dict(Q=0.0), "Q is 0.0.*greater than 0"),
     (regulator, dict(R=np.diag([1.0, 1.0, -1.0])), "R has the eigenvalue -1.*positive definite"),
     (regulator, dict(R=np.eye(2)), r"R is .*shape \(3, 3\)"),
     (mixer, dict(lower=ONES), r"lower is .*swap or widen component\(s\) \[0, 1, 2, 3\]"),
     (mixer, dict(max_step=-ONES), "max_step.*at least 0"),
-    (mixer, dict(joints=5), "joints is 5, posture_size only 4"),
-    (disturbance, dict(kind="C"), "kind is 'C'.*none, A, B"),
-    (disturbance, dict(kind="A"), "target_posture is None.*pass a posture"),
-    (disturbance, dict(kind="A", target_posture=np.ones(3)), r"target_posture has shape \(3,\).*\(4,\)"),
-    (disturbance, dict(kind="B", hold_ticks=0), "hold_ticks is 0.*at least 1"),
-    (disturbance, dict(trigger_level=np.nan), "trigger_level is nan"),
-    (disturbance, dict(move_ticks=0), "move_ticks is 0.*at least 1"),
+    (mixer, dict(joints=5), "joints is 5.*at least 0 and at most 4"),
+    (disturbance, dict(posture_size=0), "posture_size is 0.*at least 1"),
+    (disturbance, dict(period=0.0), "period is 0.0.*greater than 0"),
     (controller, dict(regulator_R=50.0), "LQR gain .*trained with 0.1 .*1e-4.*train again"),
     (controller, dict(regulator_gain=0.10002), "LQR gain"),
-    (controller, dict(reference_errors=None), "no calibration .*run the calibration"),
     (controller, dict(feature_size=5), "encoder gives 4 features, the policy takes 5"),
     (controller, dict(joint_lower=np.ones(3)), r"joint_lower has shape \(3,\).*\(4,\)"),
     (controller, dict(speed_limits=-ONES), "speed_limits.*at least 0"),
     (controller, dict(joints=0), "joints is 0.*at least 1"),
-    (controller, dict(detector=detector(), component_weights=ONES), "component_weights is given together"),
 ]
 
 
@@ -108,12 +98,3 @@ def test_encoder_of_another_training_is_refused():
         make_controller(fake_encoder, fake_policy)
     fake_encoder.hash = "bb"
     make_controller(fake_encoder, fake_policy)
-
-
-def test_detector_with_wrong_ports_is_refused():
-    sizes = dict(posture_size=4, horizon=2, state_size=12)
-    check_detector(detector(), **sizes)
-    with pytest.raises(ValueError, match="`posture_history` has size 12, the policy asks for 16"):
-        check_detector(detector(), **(sizes | dict(horizon=3)))
-    with pytest.raises(ValueError, match=r"LoopCloser.* no input port `posture_history`"):
-        check_detector(closer(), **sizes)

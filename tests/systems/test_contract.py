@@ -1,20 +1,22 @@
 """What every system promises: the ports in its docstring, its feedthrough, and all of its memory in the Context."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from systems import posture_regulator
+import systems
 from systems.alpha_mixer import AlphaMixer
-from systems.detector import RecallDetector
 from systems.disturbance import Disturbance
 from systems.dwell_time import DwellTime
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector
 from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
+from systems.recall_detector import RecallDetector
 from systems.recurrent_policy import RecurrentPolicy
+from systems.regulated_mixer import RegulatedMixer
 from systems.subspace_detector import SubspaceDetector
 from tests.systems.controller_fakes import PERIOD, FakeEncoder, FakePolicy, image, make_controller
 from tests.systems.system_checks import assert_clone_replays
@@ -29,23 +31,7 @@ def law():
     return make_controller().GetSubsystemByName("switching_law")
 
 
-def regulator():
-    return posture_regulator.make_posture_regulator(
-        posture_size=M, joints=3, initial_posture=np.zeros(M), Q=1.0, R=90.0, period=PERIOD
-    )
-
-
-def detector():
-    return RecallDetector(
-        posture_size=M, horizon=N, state_size=12, reference_errors=np.ones(N + 1), beta=1.0, gamma=0.0
-    )
-
-
-def window_detector(cls, **fitted):
-    bounds = dict(lower=-np.ones(M), upper=np.ones(M), reference_errors=np.ones(3), beta=1.0, gamma=0.0)
-    return cls(posture_size=M, horizon=N, state_size=12, **bounds, **fitted)
-
-
+LIMITS = dict(posture_size=M, joints=3, lower=-np.ones(M), upper=np.ones(M), max_step=np.ones(M))
 WINDOW_FEEDTHROUGH = {("posture_history", o) for o in ("errors", "alpha")}
 DETECTOR_FEEDTHROUGH = {(i, o) for i in ("posture_history", "recalled_postures") for o in ("errors", "alpha")}
 COMMAND_INPUTS = ("sampled_posture", "predicted_posture", "posture_history", "recalled_postures", "last_alphas")
@@ -60,30 +46,33 @@ CASES = {
         lambda: LoopCloser(posture_size=M, feature_size=F),
         {(i, "network_input") for i in CLOSER_INPUTS},
     ),
-    "RecallDetector": (detector, DETECTOR_FEEDTHROUGH),
-    "KnnDetector": (lambda: window_detector(KnnDetector, windows=np.zeros((3, 5, 2))), WINDOW_FEEDTHROUGH),
+    "RecallDetector": (lambda: RecallDetector.build(FakePolicy(), 3, {}), DETECTOR_FEEDTHROUGH),
+    "KnnDetector": (lambda: KnnDetector(FakePolicy(), np.zeros((3, 5, 2))), WINDOW_FEEDTHROUGH),
     "SubspaceDetector": (
-        lambda: window_detector(SubspaceDetector, axes=np.tile(np.eye(3)[:, :2], (3, 1, 1))),
+        lambda: SubspaceDetector(FakePolicy(), np.tile(np.eye(3)[:, :2], (3, 1, 1))),
         WINDOW_FEEDTHROUGH,
     ),
-    "PostureRegulator": (regulator, {("posture", "step")}),
     "AlphaMixer": (
-        lambda: AlphaMixer(posture_size=M, lower=-np.ones(M), upper=np.ones(M), max_step=np.ones(M)),
-        {(i, o) for i in MIXER_INPUTS for o in ("desired_posture", "step")}
-        | {("posture", "rnn_step"), ("predicted_posture", "rnn_step"), ("regulator_step", "regulator_step")},
+        lambda: AlphaMixer(**LIMITS),
+        {(i, "desired_posture") for i in MIXER_INPUTS} | {(i, "rnn_step") for i in MIXER_INPUTS[:2]},
+    ),
+    "RegulatedMixer": (
+        lambda: RegulatedMixer(**LIMITS, initial_posture=np.zeros(M), Q=1.0, R=90.0, period=PERIOD),
+        {(i, "desired_posture") for i in ("posture", "predicted_posture", "alpha", "last_alphas")}
+        | {("posture", "rnn_step"), ("predicted_posture", "rnn_step"), ("posture", "regulator_step")},
     ),
     "DwellTime": (
         lambda: DwellTime(history=3, dwell_ticks=2),
         {("detector_alpha", "alpha"), ("last_alphas", "alpha")},
     ),
     "Disturbance": (
-        lambda: Disturbance(posture_size=M, kind="B", hold_ticks=2, trigger_level=0.0),
+        lambda: Disturbance(posture_size=M),
         {("desired_posture", "disturbed_posture")},
     ),
     "SwitchingLaw": (
         law,
         DETECTOR_FEEDTHROUGH
-        | {(i, o) for i in COMMAND_INPUTS for o in ("desired_posture", "step")}
+        | {(i, "desired_posture") for i in COMMAND_INPUTS}
         | {("sampled_posture", o) for o in ("rnn_step", "regulator_step")}
         | {("predicted_posture", "rnn_step")}
         | {(i, "network_input") for i in (*CLOSER_INPUTS[:-1], "posture_history", "recalled_postures")}
@@ -108,8 +97,7 @@ def output_ports(system):
 @each
 def test_ports_are_those_of_the_docstring(name):
     system = CASES[name][0]()
-    documented = posture_regulator.make_posture_regulator if name == "PostureRegulator" else type(system)
-    block = re.search(r"pydrake_system::(.*?)\n\n(?!\s+name:)", documented.__doc__, re.DOTALL).group(1)
+    block = re.search(r"pydrake_system::(.*?)\n\n(?!\s+name:)", type(system).__doc__, re.DOTALL).group(1)
     assert re.search(r"name: (\w+)", block).group(1) == name
     inputs, outputs = (re.findall(r"- (\w+)", part) for part in block.split("output_ports:"))
     assert inputs == [port.get_name() for port in input_ports(system)]
@@ -148,7 +136,7 @@ def test_controller_names_and_topology():
     names = {system.get_name() for system in controller.GetSystems()}
     assert {"image_encoder", "posture_scaling", "recurrent_policy", "posture_history", "switching_law"} <= names
     law_names = {system.get_name() for system in controller.GetSubsystemByName("switching_law").GetSystems()}
-    assert law_names == {"loop_closer", "detector", "dwell_time", "posture_regulator", "alpha_mixer"}
+    assert law_names == {"loop_closer", "detector", "dwell_time", "regulated_mixer"}
     wires = {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
         f"{target.get_name()}.{target.get_input_port(into).get_name()}"
@@ -168,3 +156,8 @@ def test_controller_names_and_topology():
         "posture_scaling.y0 -> switching_law.posture",  # not the sampled one: the update needs this tick's
         "posture_scaling.y0 -> posture_history.posture",
     }
+
+
+def test_the_list_of_the_package_is_that_of_its_files():
+    listed = re.findall(r"^([a-z_]+) {2,}\S", systems.__doc__, re.MULTILINE)
+    assert sorted(listed) == sorted(path.stem for path in Path(systems.__file__).parent.glob("[a-z]*.py"))

@@ -7,7 +7,7 @@ from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import PassThrough
 
 from systems import alpha_mixer
-from systems.detector import declare_detector_inputs
+from systems.detector import declare_detector_inputs, sizes_of
 from tests.systems.controller_fakes import PERIOD, ClosedLoop, FakeEncoder, FakePolicy, TickArm, make_controller
 from tests.systems.system_checks import snapshot
 
@@ -17,7 +17,8 @@ def closed_loop(policy=None, offset=0.0, arm=None, logged=None, **arguments):
     policy = policy or FakePolicy()
     encoder = FakeEncoder(policy.feature_size, log=policy.log)
     arm = arm or TickArm(policy.initial_posture + offset)
-    return ClosedLoop(make_controller(encoder, policy, **arguments), arm, logged), policy, encoder
+    loop = ClosedLoop(make_controller(encoder, policy, **arguments), arm, policy.calibration, logged)
+    return loop, policy, encoder
 
 
 def teleport(loop, offset):
@@ -33,11 +34,13 @@ def test_no_algebraic_loop_even_with_an_arm_of_direct_feedthrough(joints):
     assert len(policy.inputs) == 11
 
 
-def test_order_of_events_in_a_tick():
+def test_each_tick_encodes_steps_and_recalls_once_however_often_the_command_is_read():
     loop, policy, _ = closed_loop()
     policy.log.clear()  # of the constructor, which asks what c_0 recalls
-    loop.after_tick(3)
-    loop.output("desired_posture")
+    for k in range(4):
+        loop.after_tick(k)
+        for name in ("desired_posture", "alpha", "rnn_step"):
+            loop.output(name)
     assert policy.log == ["encode", "step", "recall"] * 4
 
 
@@ -64,7 +67,10 @@ def test_loop_closing_at_tick_k_uses_alpha_of_the_tick_before():
 
 
 def reference(policy, arm, ticks, disturb, settling_ticks, dwell_ticks):
-    """method.md's tick, in numpy, the fingers waiting for settling_ticks, alpha down for dwell_ticks; returns commands and alphas (ticks, ...)."""
+    """The equations' tick in numpy, the fingers waiting for settling_ticks, alpha down for dwell_ticks.
+
+    Returns commands and alphas (ticks, ...).
+    """
     lower, upper = policy.scaling.lower, policy.scaling.upper
     scale, unscale = policy.scaling.scale, lambda x: lower + (x + 1.0) * (upper - lower) / 2.0
     M, f = policy.posture_size, 0.2 * np.arange(1, 5) / 4
@@ -72,10 +78,11 @@ def reference(policy, arm, ticks, disturb, settling_ticks, dwell_ticks):
     history, state = [initial] * (policy.horizon + 1), policy.initial_state
     prediction, predicted_features = initial, np.zeros(4)
     K = np.diag([0.1] * (M - 1) + [0.0])
+    references, beta, gamma = policy.calibration
 
     def detect(recalled):
-        errors = np.mean((np.array(history) - recalled) ** 2, axis=1) / policy.reference_errors
-        return np.max(1.0 / (1.0 + np.exp(-np.clip(policy.beta * (errors - policy.gamma), -500.0, 500.0))))
+        errors = np.mean((np.array(history) - recalled)[:, :-1] ** 2, axis=1) / references
+        return np.max(1.0 / (1.0 + np.exp(-np.clip(beta * (errors - gamma), -500.0, 500.0))))
 
     alpha = detect(np.vstack((prediction, policy.recall(state))))
     seen = [0.0] * settling_ticks + [alpha]
@@ -105,7 +112,7 @@ def test_thirty_ticks_are_those_of_the_equations(joints, settling_ticks, dwell_t
         return 0.15 if k in (8, 9, 20) else 0.0
 
     policy = FakePolicy(joints=joints, gain=0.1)
-    policy.beta, policy.gamma = 0.5, 2.0  # soft, so that alpha takes many values
+    policy.calibration = np.full(3, 1e-4), 0.5, 2.0  # soft, so that alpha takes many values
     expected, alphas = reference(policy, policy.initial_posture, 30, disturb, settling_ticks, dwell_ticks)
     assert alphas.min() < 0.4
     assert alphas.max() > 0.9
@@ -125,6 +132,7 @@ class Scheduled(LeafSystem):
     def __init__(self, until, **sizes):
         super().__init__()
         declare_detector_inputs(self, **sizes)
+        self.set_calibration = lambda *_: None  # it has none
         self._until = until
         self.DeclareDiscreteState([0.0])  # the number of the next tick
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._update)
@@ -141,7 +149,7 @@ class Scheduled(LeafSystem):
 def test_what_was_imagined_is_no_command():
     """As alpha falls, the predictions still come from imagination: they must not open the fingers."""
     policy = FakePolicy(drift=0.02)
-    detector = Scheduled(20, posture_size=4, horizon=2, state_size=policy.state_size)
+    detector = Scheduled(20, **sizes_of(policy))
     loop, *_ = closed_loop(policy, detector=detector, settling_ticks=3, dwell_ticks=1)
     start = policy.initial_posture
     half_range = (policy.scaling.upper - policy.scaling.lower) / 2.0
@@ -150,7 +158,7 @@ def test_what_was_imagined_is_no_command():
     loop.after_tick(20)
     assert loop.output("alpha")[0] == 0.0
     # It imagined 21 steps of 0.02; the arm stays where the LQR holds it.
-    assert loop.output("predicted_posture") == pytest.approx(start + 21 * 0.02 * half_range)
+    assert start + loop.output("rnn_step") == pytest.approx(start + 21 * 0.02 * half_range)
     assert loop.output("desired_posture") == pytest.approx(start)
     # From then on what it predicts moves the joints, two ticks later the fingers.
     loop.after_tick(21)
@@ -169,7 +177,6 @@ def test_outputs_are_physical_where_they_say_so():
     pull = np.array([-0.02, -0.02, -0.02, 0.0])
     assert loop.output("regulator_step") == pytest.approx(pull)
     assert loop.output("rnn_step") == pytest.approx(0.01 * half_range)
-    assert loop.output("predicted_posture") == pytest.approx(start + 0.01 * half_range)
     alpha = loop.output("alpha")[0]
     assert loop.output("desired_posture") == pytest.approx(start + (1 - alpha) * 0.01 * half_range + pull)
     assert loop.output("features") == pytest.approx(0.2 * np.arange(1, 5) / 4)
@@ -238,7 +245,7 @@ def test_a_fresh_context_is_a_fresh_episode():
     loop, *_ = closed_loop(offset=0.1)
 
     def episode():
-        simulator = Simulator(loop.diagram, loop.diagram.CreateDefaultContext())
+        simulator = Simulator(loop.diagram, loop.fresh_context())
         simulator.AdvanceTo(2.05)
         context = simulator.get_context()
         return snapshot(loop.controller, loop.controller.GetMyContextFromRoot(context))
@@ -257,10 +264,11 @@ def test_between_the_ticks_nothing_is_computed_again(monkeypatch):
 
 
 def test_a_log_at_the_tick_is_written_before_the_update():
-    loop, policy, _ = closed_loop(logged="predicted_posture")
-    after = [policy.initial_posture]
+    loop, *_ = closed_loop(logged="predicted_features")
+    after = [np.zeros(4)]
     for k in range(5):
         loop.after_tick(k)
-        after.append(loop.output("predicted_posture"))
+        after.append(loop.output("predicted_features").copy())
+    assert after[1].any()
     logged = loop.log.FindLog(loop.simulator.get_context()).data().T
     assert logged == pytest.approx(np.array(after[:-1]))

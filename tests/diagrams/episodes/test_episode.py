@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diagrams.episodes.episode import FAILURES, Outcome
-from diagrams.episodes.switching import Switching
+from diagrams.episodes.episode import Outcome
+from diagrams.episodes.switching import SWITCHING_FAILURES, Switching
 from diagrams.world.task import TaskMonitor, tilt
 
 PERIOD = 0.1
@@ -54,7 +54,7 @@ def test_as_it_should():
 def test_failure_kinds(changes, failure):
     found = run(**changes).failure
     assert found == failure
-    assert found is None or found in FAILURES
+    assert found is None or found in SWITCHING_FAILURES
 
 
 @pytest.mark.parametrize(
@@ -112,14 +112,14 @@ def test_what_is_decided_stays_so(data):
         if part.decided:
             assert part.failure == whole.failure
         elif not active[n:].any() and (active[:n].any() or not disturbed):
-            # There are ways to go on that end differently.
-            ways = {
+            # It can go on so that it ends differently.
+            ends = {
                 cut(n, [0.95] * 70, [False] * 70).failure,
                 cut(n, [0.95] + [0.0] * 70, [True] * 71).failure,
                 cut(n, [0.0] * 70, [True] * 70).failure,
                 cut(n, [0.0] * 70, [False] * 70).failure,
             }
-            assert len(ways) > 1
+            assert len(ends) > 1
 
 
 def test_detected_at_nine_tenths_only():
@@ -217,7 +217,7 @@ def test_tilt_by_hand():
 def test_outcome_is_plain_enough_for_json():
     outcome = Outcome(
         seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True,
-        placed=MONITOR.placed(poses()), home=MONITOR.home(HOME), success=MONITOR.success(poses(), HOME), switched=True,
+        placed=MONITOR.placed(poses()), home=bool(MONITOR.home(HOME)), success=MONITOR.success(poses(), HOME), switched=True,
         detection_delay_s=0.2, false_switches=0, returned=True, resumed=True, switch_success=True,
         paper_switch_success=True, alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None, switch_failure=None, sim_seconds=30.0,
     )  # fmt: skip

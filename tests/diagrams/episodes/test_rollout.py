@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
 
-from diagrams.episodes import rollout as rollout_module
+from diagrams.episodes.compatibility import facts, require_trained_for
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import Record
 from diagrams.episodes.rollout import Rollout
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import Disturbance
 from diagrams.world.names import ARM_JOINTS
+from models.errors import InputError
 
 CAN = (0.555, -0.041)
 
@@ -21,11 +22,13 @@ CAN = (0.555, -0.041)
 class Run:
     """One run, with what the network was fed."""
 
-    def __init__(self, rollout, policy, encoder, episode):
+    def __init__(self, rollout, policy, encoder, episode, **options):
         calls, self.told = encoder.calls, []
         policy.learn(episode)
         self.episode = episode
-        self.outcome, self.record = rollout.run(episode, on_event=lambda t, what: self.told.append((t, what)))
+        self.outcome, self.record = rollout.run(
+            episode, on_event=lambda t, what: self.told.append((t, what)), **options
+        )
         self.inputs = np.array(policy.inputs)
         self.encoded = encoder.calls - calls
 
@@ -38,26 +41,26 @@ def undisturbed(rollout, policy, encoder):
     return Run(rollout, policy, encoder, Episode(0, CAN, "left"))
 
 
-def disturbed_by_A(draws, subtask):
+def disturbed_by_A(sampler, subtask):
     """The first episode of kind A in that subtask."""
-    return next(e for e in (draws.draw(s, "A") for s in range(100)) if e.disturbance.subtask == subtask)
+    return next(e for e in (sampler.sample(s, "A") for s in range(100)) if e.disturbance.subtask == subtask)
 
 
 @pytest.fixture(scope="module")
-def moved_on_the_way_to_the_can(rollout, policy, encoder, draws):
-    return Run(rollout, policy, encoder, disturbed_by_A(draws, 1))
+def moved_before_the_grasp(rollout, policy, encoder, sampler):
+    return Run(rollout, policy, encoder, disturbed_by_A(sampler, 1))
 
 
 @pytest.fixture(scope="module")
-def moved_with_the_can(rollout, policy, encoder, draws):
-    return Run(rollout, policy, encoder, disturbed_by_A(draws, 2))
+def moved_with_the_can(rollout, policy, encoder, sampler):
+    return Run(rollout, policy, encoder, disturbed_by_A(sampler, 2))
 
 
 @pytest.fixture(scope="module")
 def robbed(rollout, policy, encoder):
     """Stopped on the way to the shelf; the can is taken and put elsewhere on the desk."""
-    draw = Disturbance("B", 2, 0.10, None, 20, (0.61, 0.05))
-    return Run(rollout, policy, encoder, Episode(8, (0.50, 0.02), "right", draw))
+    taken = Disturbance("B", level=0.10, hold_ticks=20, subtask=2, can_moved_to=[0.61, 0.05])
+    return Run(rollout, policy, encoder, Episode(8, (0.50, 0.02), "right", taken))
 
 
 def assert_task_done(run):
@@ -89,9 +92,9 @@ def test_records_have_a_row_a_tick(undisturbed, policy):
     shapes = {
         "posture": (8,), "rnn_step": (8,), "regulator_step": (8,), "desired_posture": (8,), "alpha": (), "active": (),
         "errors": (11,), "squared_errors": (11,), "hidden_state": (policy.state_size,), "can_poses": (14,),
-        "features": (policy.feature_size,), "time": (),
+        "features": (policy.feature_size,), "predicted_features": (policy.feature_size,), "time": (),
     }  # fmt: skip
-    assert {f.name for f in fields(Record)} == {*shapes, "events"}
+    assert {f.name for f in fields(Record)} == {*shapes, "picture_ticks", "pictures", "events"}
     assert {name: getattr(record, name).shape for name in shapes} == {name: (n, *s) for name, s in shapes.items()}
     assert undisturbed.outcome.sim_seconds == pytest.approx(0.1 * n)
     assert record.time == pytest.approx(0.1 * np.arange(n))
@@ -143,10 +146,10 @@ def test_loop_is_closed_with_alpha_of_the_tick_before(moved_with_the_can, policy
     )
 
 
-@pytest.mark.parametrize("name", ["moved_on_the_way_to_the_can", "moved_with_the_can"])
+@pytest.mark.parametrize("name", ["moved_before_the_grasp", "moved_with_the_can"])
 def test_moved_arm_goes_home_and_finishes(name, request, world):
     run = request.getfixturevalue(name)
-    outcome, record, draw = run.outcome, run.record, run.episode.disturbance
+    outcome, record, given = run.outcome, run.record, run.episode.disturbance
     assert_task_done(run)
     assert (outcome.switched, outcome.returned, outcome.resumed, outcome.switch_success) == (True, True, True, True)
     assert outcome.switch_failure is None
@@ -155,9 +158,9 @@ def test_moved_arm_goes_home_and_finishes(name, request, world):
     assert outcome.alpha_max_before < 1e-6
     # 8 ticks of the move and the hold; then the arm is where it was brought to.
     active = np.flatnonzero(record.active)
-    assert np.array_equal(active, np.arange(active[0], active[0] + 8 + draw.hold_ticks))
-    assert record.posture[active[-1], :7] == pytest.approx(np.array(draw.target_joints), abs=np.deg2rad(1.0))
-    # The way home is the LQR's: a tenth of what is left a tick; the fingers keep their command.
+    assert np.array_equal(active, np.arange(active[0], active[0] + 8 + given.hold_ticks))
+    assert record.posture[active[-1], :7] == pytest.approx(np.array(given.target), abs=np.deg2rad(1.0))
+    # The LQR takes a tenth of what is left a tick; the fingers keep their command.
     end = active[-1] + 1
     off = np.abs(record.posture[end : end + 15, :7] - world.initial_posture[:7]).max(axis=1)
     assert off[1:] == pytest.approx(0.9 * off[:-1], rel=0.1)
@@ -171,7 +174,7 @@ def test_moved_arm_goes_home_and_finishes(name, request, world):
     assert [word for word in words if word in order] == order
 
 
-def test_fingers_never_open_on_the_way_home(moved_with_the_can):
+def test_fingers_never_open_during_the_return(moved_with_the_can):
     """The network imagines that it has put the can down; when it has the arm again, the can is still in the hand."""
     record = moved_with_the_can.record
     resumed = np.flatnonzero(record.alpha > 0.5)[-1] + 1
@@ -191,8 +194,34 @@ def test_robbed_hand_goes_home_and_picks_the_can_up_again(robbed):
     assert np.ptp(stopped, axis=0).max() < np.deg2rad(0.5)
 
 
-def test_same_episode_gives_the_same_bits(rollout, policy, encoder, moved_on_the_way_to_the_can):
-    first = moved_on_the_way_to_the_can
+def test_a_clone_takes_the_can_as_the_original_does(rollout, policy, robbed):
+    """Cloned before and after the can is taken: whether it was is in the Context, so both go on to the same bits."""
+    policy.learn(robbed.episode)
+    rollout.prepare(robbed.episode)
+    simulator, onset = rollout.simulator, np.flatnonzero(robbed.record.active)[0]
+
+    def go_on(context, ticks):
+        simulator.reset_context(context)
+        for k in ticks:
+            simulator.AdvanceTo((k + 0.5) * 0.1)
+        root = simulator.get_context()
+        plant = rollout.station.plant
+        return plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)).tobytes(), rollout.can_mover.moved(
+            root
+        )
+
+    context, k = simulator.get_mutable_context(), 0
+    for until, taken in ((onset + 3, False), (onset + 6, True)):
+        _, moved = go_on(context, range(k, until))
+        assert moved is taken
+        clone, k = context.Clone(), until
+        after = range(until, onset + 12)
+        assert go_on(clone, after) == go_on(context.Clone(), after)
+        assert rollout.can_mover.moved(simulator.get_context())
+
+
+def test_same_episode_gives_the_same_bits(rollout, policy, encoder, moved_before_the_grasp):
+    first = moved_before_the_grasp
     again = Run(rollout, policy, encoder, first.episode)
     for field in fields(Record):
         a, b = getattr(first.record, field.name), getattr(again.record, field.name)
@@ -204,10 +233,9 @@ def test_same_episode_gives_the_same_bits(rollout, policy, encoder, moved_on_the
 
 
 def test_a_network_that_does_nothing_has_stalled(rollout, policy, encoder, monkeypatch):
-    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 6.0)
-    monkeypatch.setattr(policy, "learn", lambda episode: setattr(policy, "_ways", {}) or setattr(policy, "inputs", []))
+    monkeypatch.setattr(policy, "learn", lambda episode: setattr(policy, "_paths", {}) or setattr(policy, "inputs", []))
     monkeypatch.setattr(type(encoder), "encode", lambda self, rgb: np.zeros(self.feature_size))
-    run = Run(rollout, policy, encoder, Episode(0, CAN, "left"))
+    run = Run(rollout, policy, encoder, Episode(0, CAN, "left"), time_limit=6.0)
     assert (run.outcome.success, run.outcome.failure, run.outcome.sim_seconds) == (False, "stalled", 6.0)
     assert run.words()[-1] == "time is up"
 
@@ -241,26 +269,25 @@ def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkey
     assert len(run.record.time) == 10
 
 
-def test_no_disturbance_came(rollout, policy, encoder, monkeypatch):
+def test_no_disturbance_came(rollout, policy, encoder):
     """The moment never comes within the time: said, and not a success of the switching."""
-    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 2.0)
-    run = Run(rollout, policy, encoder, Episode(0, CAN, "left", Disturbance("B", 1, 0.01, None, 20)))
+    episode = Episode(0, CAN, "left", Disturbance("B", level=0.01, hold_ticks=20))
+    run = Run(rollout, policy, encoder, episode, time_limit=2.0)
     assert (run.outcome.success, run.outcome.switch_success) == (False, False)
     assert (run.outcome.switch_failure, run.outcome.returned) == ("not disturbed", False)
 
 
-def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, monkeypatch, moved_on_the_way_to_the_can):
+def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, moved_before_the_grasp):
     """The network cannot finish within the limit; how long it is given depends on the disturbance."""
-    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 14.0)
-    first = moved_on_the_way_to_the_can
-    run = Run(rollout, policy, encoder, first.episode)
+    first = moved_before_the_grasp
+    run = Run(rollout, policy, encoder, first.episode, time_limit=14.0)
     onset = np.flatnonzero(first.record.active)[0]
     resumed = onset + np.flatnonzero(first.record.alpha[onset + 10 :] <= 0.1)[0] + 10
     assert run.outcome.sim_seconds == pytest.approx(14.0 + 0.1 * (resumed - onset))
 
 
-def test_a_run_for_the_detection_alone_ends_soon_after_the_disturbance(rollout, policy, moved_on_the_way_to_the_can):
-    whole = moved_on_the_way_to_the_can
+def test_a_run_for_the_detection_alone_ends_soon_after_the_disturbance(rollout, policy, moved_before_the_grasp):
+    whole = moved_before_the_grasp
     policy.learn(whole.episode)
     outcome, record = rollout.run(whole.episode, until="detection")
     assert (outcome.success, outcome.failure) == (None, None)
@@ -269,8 +296,8 @@ def test_a_run_for_the_detection_alone_ends_soon_after_the_disturbance(rollout, 
     assert np.array_equal(record.errors, whole.record.errors[: end + 5])
 
 
-def test_a_run_for_the_switching_alone_ends_once_it_is_decided(rollout, policy, moved_on_the_way_to_the_can):
-    whole = moved_on_the_way_to_the_can
+def test_a_run_for_the_switching_alone_ends_once_it_is_decided(rollout, policy, moved_before_the_grasp):
+    whole = moved_before_the_grasp
     policy.learn(whole.episode)
     outcome, record = rollout.run(whole.episode, until="switching")
     assert (outcome.success, outcome.failure, outcome.paper_switch_success) == (None, None, None)
@@ -285,7 +312,7 @@ def test_a_run_for_the_switching_alone_ends_once_it_is_decided(rollout, policy, 
 
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
     names = {system.get_name() for system in rollout.diagram.GetSystems()}
-    assert names == {"station", "switched_controller", "disturbance"}
+    assert names == {"station", "switched_controller", "disturbance", "can_mover"}
     wires = {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
         f"{target.get_name()}.{target.get_input_port(into).get_name()}"
@@ -300,6 +327,43 @@ def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
     }
 
 
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda w: setattr(w.timing, "period", 0.2), r"period is 0.2, the network was trained with 0.1"),
+        (lambda w: setattr(w, "initial_joints_deg", [0.0] * 7), r"initial posture is .*, the network was trained with"),
+        (lambda w: setattr(w, "opening", 0.07), r"initial posture is .*0.07.*, the network was trained with .*0.08"),
+        (lambda w: setattr(w, "closed_opening", 0.02), r"closed opening is 0.02, the network was trained with 0.03"),
+        (lambda w: setattr(w.camera, "width", 224), r"camera is .*224.* trained with .*112"),
+        (lambda w: setattr(w.camera, "field_of_view_deg", 50.0), r"camera is .*50.* trained with .*43"),
+    ],
+)
+def test_another_world_than_the_trained_one_is_refused(encoder, policy, change, named):
+    world = World()
+    change(world)
+    with pytest.raises(InputError, match=named):
+        Rollout(world, encoder, policy)
+
+
+def test_a_network_that_was_trained_in_another_world_flies_there(encoder, policy, monkeypatch):
+    world = World()
+    world.timing.period = 0.2
+    monkeypatch.setattr(policy, "metadata", {"world": facts(world)}, raising=False)
+    require_trained_for(world, policy)
+    with pytest.raises(InputError, match=r"period is 0.1, the network was trained with 0.2"):
+        require_trained_for(World(), policy)
+
+
+def test_pictures_are_kept_where_asked_for(rollout, policy, undisturbed):
+    policy.learn(undisturbed.episode)
+    _, record = rollout.run(undisturbed.episode, pictures=True, time_limit=1.2)
+    assert record.picture_ticks.tolist() == [0, 5, 10]
+    assert record.pictures.shape == (3, 112, 112, 3)
+    assert record.pictures.dtype == np.uint8
+    assert record.posture.tobytes() == undisturbed.record.posture[:12].tobytes()
+    assert len(undisturbed.record.pictures) == 0
+
+
 def test_another_gain_than_the_trained_one_is_refused(encoder, policy):
     world = World()
     world.regulator = replace(world.regulator, input_weight=10.0)
@@ -307,14 +371,13 @@ def test_another_gain_than_the_trained_one_is_refused(encoder, policy):
         Rollout(world, encoder, policy)
 
 
-def test_replay_and_film_are_written(world, encoder, policy, tmp_path, monkeypatch):
-    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 0.5)
+def test_replay_and_film_are_written(world, encoder, policy, tmp_path):
     film = tmp_path / "film.mp4"
     meshcat = Meshcat(MeshcatParams(host="localhost"))
     rollout = Rollout(world, encoder, policy, meshcat=meshcat, video=film)
     meshcat.StartRecording(set_visualizations_while_recording=False)
     policy.learn(Episode(0, CAN, "left"))
-    rollout.run(Episode(0, CAN, "left"))
+    rollout.run(Episode(0, CAN, "left"), time_limit=0.5)
     meshcat.StopRecording()
     meshcat.PublishRecording()
     rollout.video.Save()

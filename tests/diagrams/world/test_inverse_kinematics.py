@@ -1,4 +1,4 @@
-"""Inverse kinematics, the teacher's commands, and clearance: of every position that is ever taught."""
+"""Inverse kinematics, the teacher's commands, and checker: of every position that is ever taught."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from diagrams.world.collisions import CollisionChecker
 from diagrams.world.inverse_kinematics import TILT_DEG
 from diagrams.world.names import CAN_HALF_HEIGHT, SPOTS
 from diagrams.world.station import arm_plant, controller_limits
-from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, SUBTASK_STEPS, commands, subtask_waypoints
+from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, subtask_commands
 from models.errors import InputError
 
 MARGIN = np.deg2rad(8.0)
@@ -24,8 +24,7 @@ def goals(world, station):
 def taught(world, station, hand):
     """(subtask, centre, commands) of all of them."""
     return [
-        (subtask, centre, commands(subtask_waypoints(world, hand, centre, subtask), SUBTASK_STEPS[subtask - 1]))
-        for subtask, centre in goals(world, station)
+        (subtask, centre, subtask_commands(world, hand, centre, subtask)) for subtask, centre in goals(world, station)
     ]
 
 
@@ -100,46 +99,46 @@ def test_hand_comes_down_from_above(taught, hand):
 
 
 @pytest.fixture(scope="module")
-def clearance():
+def checker():
     return CollisionChecker()
 
 
-def test_home_is_clear(clearance, world):
+def test_home_is_clear(checker, world):
     for can in ((0.53, 0.0), None):
-        clearance.set_scene(can, "left")
-        assert clearance.first_touch(world.initial_posture[:7]) is None
+        checker.set_scene(can, "left")
+        assert checker.first_touch(world.initial_posture[:7]) is None
 
 
-def test_hand_in_the_desk_touches_it(clearance, hand):
-    clearance.set_scene((0.60, -0.08), "left")
-    assert clearance.first_touch(hand.solve_ik(np.array([0.5, 0.05, 0.005]))) == "desk"
-    assert clearance.first_touch(hand.solve_ik(np.array([0.5, 0.05, 0.12]))) is None
+def test_hand_in_the_desk_touches_it(checker, hand):
+    checker.set_scene((0.60, -0.08), "left")
+    assert checker.first_touch(hand.solve_ik(np.array([0.5, 0.05, 0.005]))) == "desk"
+    assert checker.first_touch(hand.solve_ik(np.array([0.5, 0.05, 0.12]))) is None
 
 
-def test_hand_at_a_can_touches_it(clearance, hand):
-    clearance.set_scene((0.5, 0.0), "left")
-    assert clearance.first_touch(hand.solve_ik(np.array([0.5, 0.03, 0.07]))) == "can_to_pick"
-    clearance.set_scene((0.6, 0.0), "left")
-    assert clearance.first_touch(hand.solve_ik(np.array([0.5, 0.03, 0.07]))) is None
+def test_hand_at_a_can_touches_it(checker, hand):
+    checker.set_scene((0.5, 0.0), "left")
+    assert checker.first_touch(hand.solve_ik(np.array([0.5, 0.03, 0.07]))) == "can_to_pick"
+    checker.set_scene((0.6, 0.0), "left")
+    assert checker.first_touch(hand.solve_ik(np.array([0.5, 0.03, 0.07]))) is None
 
 
-def test_held_can_counts_as_the_hand(clearance, hand, station):
+def test_held_can_counts_as_the_hand(checker, hand, station):
     above = hand.solve_ik(station.spot("left") + [0, 0, 0.06])
     low = hand.solve_ik(station.spot("left") + [0, 0, 0.01 - 0.015])
-    clearance.set_scene(None, "left")
-    assert clearance.first_touch(above) is None
-    assert clearance.first_touch(low) == "shelf"
-    clearance.set_scene(None, "right")  # the other can stands there
-    assert clearance.first_touch(low) in ("shelf", "can_on_shelf")
-    assert clearance.first_touch(above) == "can_on_shelf"
+    checker.set_scene(None, "left")
+    assert checker.first_touch(above) is None
+    assert checker.first_touch(low) == "shelf"
+    checker.set_scene(None, "right")  # the other can stands there
+    assert checker.first_touch(low) in ("shelf", "can_on_shelf")
+    assert checker.first_touch(above) == "can_on_shelf"
 
 
-def test_way_through_something_is_seen(clearance, hand, world):
+def test_path_through_something_is_seen(checker, hand, world):
     home = world.initial_posture[:7]
-    clearance.set_scene((0.5, 0.0), "left")
-    touches = clearance.path_touches
+    checker.set_scene((0.5, 0.0), "left")
+    touches = checker.path_touches
     assert touches(home, hand.solve_ik(np.array([0.6, -0.05, 0.25]))) is None
     beyond = hand.solve_ik(np.array([0.5, -0.09, 0.06])), hand.solve_ik(np.array([0.5, 0.09, 0.06]))
-    assert clearance.first_touch(beyond[0]) is None
-    assert clearance.first_touch(beyond[1]) is None
+    assert checker.first_touch(beyond[0]) is None
+    assert checker.first_touch(beyond[1]) is None
     assert touches(*beyond) == "can_to_pick"

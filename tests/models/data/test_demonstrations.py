@@ -1,12 +1,16 @@
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from models.data.demonstrations import (
     DatasetError,
     Demonstration,
+    content_of,
     iterate_frames,
     read_demonstrations,
     read_header,
@@ -73,3 +77,33 @@ def test_missing_and_damaged_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "bad.h5").write_bytes(b"no data")
     with pytest.raises(DatasetError, match=r"bad\.h5: not a readable"):
         read_header(tmp_path / "bad.h5")
+    h5py.File(tmp_path / "other.h5", "w").close()
+    for read in (read_header, read_demonstrations, lambda path: next(iterate_frames(path, ["demo_0"]))):
+        with pytest.raises(DatasetError, match=r"other\.h5: .*Is that a data set of diagrams/teach\.py"):
+            read(tmp_path / "other.h5")
+
+
+def test_a_file_that_another_program_writes_is_not_called_damaged(data_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "d.h5"
+    path.write_bytes(data_file.read_bytes())
+    code = f"import h5py, sys; file = h5py.File({str(path)!r}, 'a'); print('open', flush=True); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
+        assert writer.stdout.readline() == b"open\n"
+        with pytest.raises(DatasetError, match=r"d\.h5: another program has it open for writing\. Wait"):
+            read_header(path)
+    assert read_header(path).total == 800
+
+
+def test_content_is_of_what_the_file_holds(data_file: Path, grown_data_file: Path, tmp_path: Path) -> None:
+    assert read_header(data_file).content_hash == read_header(grown_data_file).content_hash
+    assert content_of(data_file) == content_of(data_file) != content_of(grown_data_file)
+    path = tmp_path / "d.h5"
+    for change in ("data/demo_3/obs/posture", "data/demo_3/actions"):
+        path.write_bytes(data_file.read_bytes())
+        with h5py.File(path, "a") as file:
+            file[change][7, 2] += 1e-9
+        assert content_of(path) != content_of(data_file)
+    path.write_bytes(data_file.read_bytes())
+    with h5py.File(path, "a") as file:
+        file["data"].attrs["content_hash"] = "11" * 32  # other pictures
+    assert content_of(path) != content_of(data_file)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from models.data.augmentation import Augmentation, slow_noise
 from models.data.scaling import MinMaxScaling
-from models.data.sequences import Augmentation, SequencePack, errors, make_batch, pack_sequences, run, slow_noise
+from models.data.sequences import SequencePack, errors, make_batch, pack_sequences, run
 from models.training.validation import validate
 from tests.models.conftest import make_policy
 from tests.models.data.test_demonstrations import demo, ramp

@@ -9,29 +9,15 @@ from safetensors.torch import save_file
 
 from models.files.weights import (
     WeightsError,
-    dequantise,
     file_hash,
     load_autoencoder,
     load_policy,
-    quantise,
     save_autoencoder,
     save_policy,
 )
 from models.inference import Policy
 from models.networks.cae import ConvolutionalAutoencoder
 from tests.models.conftest import make_policy
-
-
-def test_quantisation_errs_by_half_a_step_at_most_and_is_idempotent() -> None:
-    torch.manual_seed(0)
-    weight = torch.randn(20, 300) * torch.logspace(-3, 1, 20)[:, None]
-    stored, scale = quantise(weight)
-    assert stored.dtype == torch.int8
-    assert stored.abs().amax(1).eq(127).all()
-    assert ((dequantise(stored, scale) - weight).abs() <= 0.5001 * scale[:, None]).all()
-    again, scale_again = quantise(dequantise(stored, scale))
-    assert torch.equal(again, stored)
-    torch.testing.assert_close(scale_again, scale)
 
 
 def test_autoencoder_round_trip(tmp_path: Path, encoder_file: Path) -> None:
@@ -166,7 +152,7 @@ def test_error_comes_back_from_another_process() -> None:
 def test_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "cae.safetensors"
     path.write_bytes(b"old")
-    monkeypatch.setattr("models.files.weights.save_file", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr("models.files.tensors.save_file", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         save_autoencoder(path, ConvolutionalAutoencoder())
     assert path.read_bytes() == b"old"

@@ -1,6 +1,5 @@
-"""The three trainings as a user starts them, on the tiny data set, and what they promise."""
+"""The trainings as a user starts them, on the tiny data set, and what each promises."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,38 +8,36 @@ import pytest
 import torch
 
 from models.data.demonstrations import read_demonstrations
-from models.files.weights import WeightsError, file_hash, load_autoencoder, load_policy, save_policy
+from models.errors import InputError
+from models.files.weights import WeightsError, file_hash, load_policy, save_policy
 from models.inference import Policy
-from models.networks.rnn import RNNS
-from models.training.__main__ import main
-from models.training.cae import CaeModule, CaeOptions, augment, load_frames, median_image
-from models.training.recall import RecallModule, RecallOptions, train_recall
+from models.networks import NETWORKS
+from models.training.__main__ import main, parse
+from models.training.cae import CaeOptions, CaeTraining, augment, load_frames, median_image
+from models.training.recall import RecallOptions, RecallTraining, train_recall
 from models.training.rnn import RnnOptions, posture_scaling, train_rnn
-from models.training.trainer import fit, step_generator
+from models.training.trainer import step_generator
 from tests.models.conftest import make_policy
-
-
-@pytest.fixture(scope="module", params=sorted(RNNS))
-def rnn_options(
-    request: pytest.FixtureRequest, data_file: Path, encoder_file: Path, tmp_path_factory: pytest.TempPathFactory
-) -> RnnOptions:
-    return RnnOptions(
-        data=data_file,
-        encoder=encoder_file,
-        out=tmp_path_factory.mktemp("rnn"),
-        features=data_file.with_name("features.npz"),  # encoded once
-        rnn=request.param,
-        steps=4,
-        batch_size=4,
-        checkpoint_every=2,
-        validate_every=4,
-        progress=False,
-    )
+from tests.models.outside import Elman
 
 
 @pytest.fixture(scope="module")
-def candidate(rnn_options: RnnOptions) -> Path:
-    return train_rnn(rnn_options)
+def candidate(rnn_options: RnnOptions, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train_rnn(replace(rnn_options, out=tmp_path_factory.mktemp("rnn")))
+
+
+@pytest.fixture
+def recall_options(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> RecallOptions:
+    return RecallOptions(
+        data=rnn_options.data,
+        out=tmp_path,
+        policy=(candidate,),
+        encoder=rnn_options.encoder,
+        features=rnn_options.features,
+        steps=3,
+        batch_size=4,
+        progress=False,
+    )
 
 
 def test_frames_are_the_training_demonstrations_only(data_file: Path) -> None:
@@ -69,53 +66,14 @@ def test_weighted_loss_counts_a_moving_pixel_sixteen_fold(data_file: Path, tmp_p
     options = CaeOptions(data=data_file, out=tmp_path, noise=0.0, colour=0.0, feature_noise=0.0)
     losses = {}
     for weight in (1.0, 16.0):
-        module = CaeModule(replace(options, foreground_weight=weight), frames, {})
-        module.trainer = type("Trainer", (), {"global_step": 0})()
-        module.log = lambda *_, **__: None
-        module.model.decode = lambda f: torch.zeros(len(f), 3, 112, 112)
+        training = CaeTraining(replace(options, foreground_weight=weight), frames, {})
+        training.model.decode = lambda f: torch.zeros(len(f), 3, 112, 112)
         batch = torch.full((2, 112, 112, 3), 50, dtype=torch.uint8)
         batch[:, :56] = 255
-        losses[weight] = module.training_step(batch, 0).item()
+        losses[weight] = training.loss(batch, 0)[0].item()
     still, moving = (50 / 255) ** 2, 1.0
     assert losses[1.0] == pytest.approx((still + moving) / 2, rel=1e-5)
     assert losses[16.0] == pytest.approx((still + 16 * moving) / 17, rel=1e-5)
-
-
-def test_cae_trains_writes_and_resumes_bit_for_bit(data_file: Path, tmp_path: Path) -> None:
-    arguments = [
-        "cae",
-        "--data",
-        str(data_file),
-        "--max-images",
-        "16",
-        "--batch-size",
-        "4",
-        "--no-progress",
-        "--checkpoint-every",
-        "2",
-        "--frame-stride",
-        "10",
-        "--out",
-    ]
-    kept = tmp_path / "resumed"
-    kept.mkdir()
-    original = CaeModule.export
-
-    def export(self: CaeModule, step: int, final: bool) -> None:
-        original(self, step, final)
-        if step == 2 and not (kept / "last.ckpt").exists():
-            shutil.copy(self.options.out / "last.ckpt", kept / "last.ckpt")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(CaeModule, "export", export)
-        assert main([*arguments, str(tmp_path / "whole")]) == 0
-    assert main([*arguments, str(kept)]) == 0
-    (whole, metadata), (resumed, _) = (load_autoencoder(tmp_path / n / "cae.safetensors") for n in ("whole", "resumed"))
-    assert metadata["step"] == 4
-    assert metadata["data_hash"] == "00" * 32
-    assert metadata["training"]["max_images"] == 16
-    for (name, a), b in zip(whole.state_dict().items(), resumed.state_dict().values(), strict=True):
-        assert torch.equal(a, b), name
 
 
 def test_scaling_holds_what_the_network_has_to_say(data_file: Path) -> None:
@@ -129,35 +87,46 @@ def test_scaling_holds_what_the_network_has_to_say(data_file: Path) -> None:
     assert scaling.half_range[:7].min() > 0.299 > scaling.half_range[7]
 
 
-def test_rnn_writes_candidates_that_know_where_they_come_from(rnn_options: RnnOptions, candidate: Path) -> None:
-    assert candidate.name == "rnn-4.safetensors"
-    assert (rnn_options.out / "rnn-2.safetensors").is_file()
-    policy = load_policy(candidate)
-    assert policy.rnn.name == rnn_options.rnn
-    assert policy.recall is None
+@pytest.mark.parametrize("name", list(NETWORKS))
+def test_each_network_trains_and_knows_where_it_comes_from(rnn_options: RnnOptions, tmp_path: Path, name: str) -> None:
+    path = train_rnn(replace(rnn_options, rnn=name, out=tmp_path, steps=2, posture_weight=None))
+    policy = load_policy(path)
+    assert (path.name, policy.rnn.name, policy.recall) == ("rnn-2.safetensors", name, None)
     assert policy.regulator_gain == 0.1
-    assert policy.metadata["training"]["steps"] == 4
+    training = policy.metadata["training"]
+    assert (training["steps"], training["posture_weight"]) == (2, NETWORKS[name].training_defaults["posture_weight"])
     assert policy.metadata["data_hash"] == "00" * 32
-    assert list((rnn_options.out / "logs").rglob("metrics.csv"))
 
 
-def test_rnn_resumes_bit_for_bit(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
-    short = replace(rnn_options, out=tmp_path)
-    kept: list[bytes] = []
+def test_network_from_outside_goes_all_the_way(rnn_options: RnnOptions, tmp_path: Path) -> None:
+    files = (
+        f"--data {rnn_options.data} --encoder {rnn_options.encoder} --features {rnn_options.features} --out {tmp_path}"
+    )
+    spec = f"{Elman.__module__}:Elman"
+    assert main(parse(f"rnn --rnn {spec} {files} --batch-size 4 --no-progress".split())) == 0
+    candidate = tmp_path / "rnn-3.safetensors"
+    assert isinstance(load_policy(candidate).rnn, Elman)
+    assert main(parse(f"recall --policy {candidate} {files} --batch-size 4 --steps 2 --no-progress".split())) == 0
+    policy = Policy(tmp_path / "policy-3.safetensors")
+    assert policy.metadata["training"]["rnn"] == spec
+    y, state = policy.step(np.zeros(38), policy.initial_state)
+    assert (y.shape, state.shape, policy.recall(state).shape) == ((38,), (40,), (10, 8))
+    stored = load_policy(candidate).rnn
+    wanted = stored.step(torch.zeros(1, 38), torch.zeros(1, 40))[0][0]
+    np.testing.assert_array_equal(y, wanted.detach().double().numpy())
+    save_policy(tmp_path / "again.safetensors", load_policy(candidate))
+    assert file_hash(tmp_path / "again.safetensors") == file_hash(candidate)
 
-    def stop(self: object, step: int, final: bool) -> None:
-        if step == 2:
-            kept.append((tmp_path / "last.ckpt").read_bytes())
-            raise KeyboardInterrupt
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("models.training.rnn.RnnModule.export", stop)
-        with pytest.raises((KeyboardInterrupt, SystemExit)):
-            train_rnn(short)
-    assert kept
-    resumed = load_policy(train_rnn(short))
-    for a, b in zip(resumed.rnn.parameters(), load_policy(candidate).rnn.parameters(), strict=True):
-        assert torch.equal(a, b)
+def test_network_that_is_not_here_is_named(tmp_path: Path, rnn_options: RnnOptions) -> None:
+    policy = make_policy("lstm", recall=False)
+    for spec, named in (("absent.place:Net", "absent"), ("tests.models.outside:NoNetwork", "is no RecurrentNetwork")):
+        policy.rnn.spec = spec
+        save_policy(tmp_path / "p.safetensors", policy)
+        with pytest.raises(WeightsError, match=rf"p\.safetensors: its network cannot be built .*{named}.*Install"):
+            load_policy(tmp_path / "p.safetensors")
+        with pytest.raises(InputError, match=named):
+            train_rnn(replace(rnn_options, rnn=spec, out=tmp_path))
 
 
 def test_rnn_trained_further_knows_its_ancestor(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
@@ -170,12 +139,10 @@ def test_rnn_trained_further_knows_its_ancestor(rnn_options: RnnOptions, candida
     assert policy.metadata["training"]["steps"] == 1
 
 
-def test_rnn_is_not_trained_further_for_something_else(tmp_path: Path, data_file: Path, encoder_file: Path) -> None:
+def test_rnn_is_not_trained_further_for_something_else(rnn_options: RnnOptions, tmp_path: Path) -> None:
     start = tmp_path / "rnn-1.safetensors"
     save_policy(start, make_policy("gru", recall=False))
-    options = RnnOptions(
-        data=data_file, encoder=encoder_file, out=tmp_path, start_from=start, rnn="gru", progress=False
-    )
+    options = replace(rnn_options, out=tmp_path, start_from=start, rnn="gru")
     with pytest.raises(WeightsError, match="has the network gru, not lstm"):
         train_rnn(replace(options, rnn="lstm"))
     with pytest.raises(WeightsError, match=r"has the regulator gain 0\.1, not 0\.2"):
@@ -187,99 +154,63 @@ def test_rnn_is_not_trained_further_for_something_else(tmp_path: Path, data_file
         train_rnn(options)
 
 
-def test_recall_training_moves_no_main_weight(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
-    options = RecallOptions(
-        data=rnn_options.data,
-        out=tmp_path,
-        policy=(candidate,),
-        encoder=rnn_options.encoder,
-        features=rnn_options.features,
-        steps=3,
-        batch_size=4,
-        progress=False,
-    )
-    (path,) = train_recall(options)
+def test_recall_training_moves_no_main_weight(recall_options: RecallOptions, candidate: Path, tmp_path: Path) -> None:
+    (path,) = train_recall(recall_options)
     assert path == tmp_path / "policy-4.safetensors"
     before, after = load_policy(candidate).rnn.state_dict(), load_policy(path).rnn.state_dict()
     assert all(torch.equal(before[name], after[name]) for name in before)
-    policy = Policy(path)
-    assert policy.recall(policy.initial_state).shape == (10, 8)
     written = path.stat().st_mtime_ns
-    train_recall(options)
+    train_recall(recall_options)
     assert path.stat().st_mtime_ns == written
 
 
-def test_frozen_network_goes_to_the_device_of_the_heads(data_file: Path, encoder_file: Path, tmp_path: Path) -> None:
-    options = RecallOptions(data=data_file, out=tmp_path, policy=(), encoder=encoder_file)
-    module = RecallModule(options, None, make_policy("gru", recall=False), tmp_path / "p").to("meta")
-    assert {parameter.device.type for parameter in module.rnn.parameters()} == {"meta"}
-    trained = module.configure_optimizers()["optimizer"].param_groups[0]["params"]
-    assert len(trained) == len(list(module.heads.parameters()))
-
-
-def test_recall_heads_learn(
-    rnn_options: RnnOptions, candidate: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_recall_that_is_done_is_not_taken_for_another(
+    recall_options: RecallOptions, candidate: Path, tmp_path: Path
 ) -> None:
+    train_recall(recall_options)
+    with pytest.raises(InputError, match=r"policy-4\.safetensors was made with learning_rate 0\.002, not 0\.1"):
+        train_recall(replace(recall_options, learning_rate=0.1))
+    policy = load_policy(candidate)
+    with torch.no_grad():
+        policy.rnn.output.bias += 1.0
+    other = tmp_path / "rnn-4.safetensors"
+    save_policy(other, policy)
+    with pytest.raises(InputError, match="was made from another network than"):
+        train_recall(replace(recall_options, policy=(other,)))
+
+
+def test_only_the_heads_are_trained(recall_options: RecallOptions, tmp_path: Path) -> None:
+    training = RecallTraining(recall_options, None, make_policy("gru", recall=False), tmp_path / "p")
+    trained = {name for name, parameter in training.named_parameters() if parameter.requires_grad}
+    assert trained == {f"heads.{name}" for name, _ in training.heads.named_parameters()}
+
+
+def test_recall_heads_learn(recall_options: RecallOptions, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     errors = []
     for steps in (1, 60):
-        train_recall(
-            RecallOptions(
-                data=rnn_options.data,
-                out=tmp_path / str(steps),
-                policy=(candidate,),
-                batch_size=4,
-                encoder=rnn_options.encoder,
-                features=rnn_options.features,
-                steps=steps,
-                progress=False,
-            )
-        )
+        train_recall(replace(recall_options, out=tmp_path / str(steps), steps=steps))
         errors.append(np.array(capsys.readouterr().out.strip().splitlines()[-1].split()[-10:], float))
     assert (errors[1] < 0.8 * errors[0]).all()
 
 
-def test_recall_refuses_another_encoder(rnn_options: RnnOptions, tmp_path: Path) -> None:
+def test_recall_refuses_another_encoder(recall_options: RecallOptions, tmp_path: Path) -> None:
     save_policy(tmp_path / "rnn-1.safetensors", make_policy(recall=False))
     with pytest.raises(WeightsError, match="another autoencoder"):
-        train_recall(
-            RecallOptions(
-                data=rnn_options.data,
-                out=tmp_path,
-                policy=(tmp_path / "rnn-1.safetensors",),
-                encoder=rnn_options.encoder,
-                features=rnn_options.features,
-                steps=1,
-                progress=False,
-            )
-        )
+        train_recall(replace(recall_options, policy=(tmp_path / "rnn-1.safetensors",)))
 
 
-def test_learning_rate_ends_at_a_hundredth(data_file: Path, tmp_path: Path) -> None:
-    options = CaeOptions(data=data_file, out=tmp_path, max_images=6, batch_size=2, progress=False)
-    module = CaeModule(options, np.zeros((6, 112, 112, 3), np.uint8), {})
-    module.model = torch.nn.Linear(1, 1)
-    module.training_step = lambda batch, batch_idx: module.model(batch.float().mean().reshape(1, 1) + 1).sum()
-    module.export = lambda *_: None
-    fit(module, options, 100)
-    assert module.optimizers().param_groups[0]["lr"] == pytest.approx(1e-5, rel=1e-3)
+def test_each_network_is_trained_as_it_needs_unless_told(rnn_options: RnnOptions) -> None:
+    def options(**given) -> RnnOptions:
+        unset = {"steps": None, "posture_weight": None, "learning_rate": None}
+        return replace(rnn_options, **unset | given).with_defaults()
 
-
-def test_missing_data_is_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["cae", "--data", str(tmp_path / "none.h5"), "--out", str(tmp_path)]) == 2
-    assert "none.h5: the data set does not exist" in capsys.readouterr().err
-
-
-def test_out_that_is_a_file_is_exit_code_2(data_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").touch()
-    assert main(["cae", "--data", str(data_file), "--out", str(tmp_path / "file")]) == 2
-    assert "File exists" in capsys.readouterr().err
-
-
-def test_each_network_is_trained_as_it_needs_unless_told(tmp_path):
-    def options(**given):
-        return RnnOptions(data=tmp_path / "d.h5", out=tmp_path, encoder=tmp_path / "cae.safetensors", **given)
-
-    assert (options().steps, options().posture_weight, options().learning_rate) == (10_000, 4.0, 1e-3)
+    lstm = options(rnn="lstm")
+    assert (lstm.steps, lstm.posture_weight, lstm.learning_rate) == (10_000, 4.0, 1e-3)
     mtrnn = options(rnn="mtrnn", posture_weight=4.0)
     assert (mtrnn.steps, mtrnn.posture_weight, mtrnn.learning_rate) == (16_000, 4.0, 4e-3)
     assert mtrnn.as_metadata()["learning_rate"] == 4e-3
+
+
+def test_counts_below_one_are_refused(rnn_options: RnnOptions) -> None:
+    with pytest.raises(InputError, match="--batch-size 0 is out of range: choose 1 or more"):
+        replace(rnn_options, batch_size=0)

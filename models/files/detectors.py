@@ -1,0 +1,68 @@
+"""Files of the detectors that learn from runs: what was learned, and a calibration for each policy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from models.files.tensors import WeightsError, read_tensors, write_tensors
+
+_REMEDY = "Make it with `python diagrams/baselines.py`"
+
+
+@dataclass
+class StoredDetector:
+    """What a detector's file holds.
+
+    Attributes:
+        detector: its spec in systems.detectors.DETECTORS.
+        arrays: what its class learned from runs, by name; as stored, dtypes included.
+        calibrations: by the hash of the policy's file: mean_errors (one a criterion), beta, gamma.
+        metadata: anything else, JSON-serialisable.
+    """
+
+    detector: str
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+    calibrations: dict[str, dict[str, Any]] = field(default_factory=dict)
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+
+def save_detector(path: str | Path, stored: StoredDetector) -> None:
+    """Writes the file in one go."""
+    header = {
+        "kind": "detector",
+        "method": stored.detector,
+        "calibrations": stored.calibrations,
+        "metadata": stored.metadata,
+    }
+    tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in stored.arrays.items()}
+    write_tensors(path, tensors, header)
+
+
+def load_detector(path: str | Path, detector: str) -> StoredDetector:
+    """Reads what save_detector wrote; raises WeightsError unless it is a whole file of that detector."""
+    tensors, header = read_tensors(path, "detector")
+    if header.get("method") != detector:
+        raise WeightsError(path, f"holds the detector {header.get('method')!r}, not {detector!r}", _REMEDY)
+    if absent := {"calibrations", "metadata"} - set(header):
+        raise WeightsError(path, f"has no {' and no '.join(sorted(absent))} in its header", _REMEDY)
+    arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
+    return StoredDetector(detector, arrays, header["calibrations"], header["metadata"])
+
+
+def calibration_of(path: str | Path, stored: StoredDetector, policy_hash: str) -> dict[str, Any]:
+    """The calibration for the policy with that file hash; raises WeightsError if there is none, or not a whole one."""
+    found = stored.calibrations.get(policy_hash)
+    if found is None:
+        raise WeightsError(
+            path, f"has no calibration for the policy whose file has the hash {policy_hash[:12]}", _REMEDY
+        )
+    if absent := {"mean_errors", "beta", "gamma"} - set(found):
+        raise WeightsError(
+            path, f"has a calibration without {' and '.join(sorted(absent))} for {policy_hash[:12]}", _REMEDY
+        )
+    return found

@@ -1,0 +1,86 @@
+"""Checkpoints of a training: resumed by the same command, refused by another."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from models.errors import InputError
+
+_FREE = {"checkpoint_every", "validate_every"}  # options that change no weight: a training may go on with others
+
+
+class Checkpoint:
+    """A file with the state after some update, replaced in one go, and what it was made with."""
+
+    def __init__(self, path: Path, training: Any, optimizer: Any, made_with: dict[str, Any]) -> None:
+        self.path, self.training, self.optimizer, self.made_with = path, training, optimizer, made_with
+        self.done = 0
+
+    def save(self, done: int, export: bool) -> None:
+        """The weight file comes first: killed between the two, the training goes on from the checkpoint before."""
+        state = self.training.state_dict()
+        if not all(value.isfinite().all() for value in state.values()):
+            raise self.diverged(f"a weight is not finite after update {done}")
+        if export:
+            self._export(done)
+        partial = self.path.with_suffix(".part")
+        stored = {"made_with": self.made_with, "done": done, "state": state, "optimizer": self.optimizer.state_dict()}
+        torch.save(stored, partial)
+        os.replace(partial, self.path)
+        self.done = done
+
+    def load(self) -> int:
+        """The updates done so far; 0 without a file. A weight file that should be there and is not is written."""
+        if not self.path.exists():
+            return 0
+        try:
+            stored = torch.load(self.path, map_location="cpu", weights_only=True)
+            made_with, self.done = dict(stored["made_with"]), int(stored["done"])
+        except Exception as error:  # whatever unpickling strange bytes may raise
+            raise self._unusable(f"not a whole checkpoint of this program ({type(error).__name__})") from error
+        refuse_other(self.path, made_with, self.made_with)
+        try:
+            self.training.load_state_dict(stored["state"])
+            self.optimizer.load_state_dict(stored["optimizer"])
+        except (KeyError, RuntimeError, ValueError) as error:
+            raise self._unusable(f"does not fit the network ({' '.join(str(error).split())[:200]})") from error
+        if self.done % self.made_with["checkpoint_every"] == 0 or self.done == self.training.steps:
+            self._export(self.done, only_missing=True)
+        return self.done
+
+    def diverged(self, what: str) -> InputError:
+        """The error for a training that left the finite numbers."""
+        kept = f"{self.path} keeps update {self.done}" if self.path.exists() else "there is no checkpoint yet"
+        return InputError(f"{what}; {kept}: train with a lower --learning-rate into another --out")
+
+    def _unusable(self, why: str) -> InputError:
+        return InputError(f"{self.path}: {why}: delete it to train from the start, or choose another --out")
+
+    def _export(self, done: int, only_missing: bool = False) -> None:
+        path = self.training.weight_file(done)
+        if path is not None and not (only_missing and path.is_file()):
+            self.training.export(path, done)
+
+
+def refuse_other(path: Path, before: dict[str, Any], now: dict[str, Any]) -> None:
+    """Raises InputError, with both values, where `path` was made with other options or data than those now."""
+    before, now = _flat(before), _flat(now)
+    others = [
+        f"{key} {before.get(key)}, not {now.get(key)}"
+        for key in sorted(before.keys() | now.keys())
+        if key not in _FREE and before.get(key) != now.get(key)
+    ]
+    if others:
+        raise InputError(f"{path} was made with {'; '.join(others)}: give the same, or another --out")
+
+
+def _flat(nested: dict[str, Any]) -> dict[str, Any]:
+    return {
+        f"{key}.{inner}" if inner else key: value
+        for key, content in nested.items()
+        for inner, value in (_flat(content).items() if isinstance(content, dict) else [("", content)])
+    }

@@ -1,0 +1,38 @@
+"""Features of a whole data set, kept in a file for the trainings that need them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from models.data.demonstrations import content_of, iterate_frames, read_demonstrations
+from models.errors import InputError
+from models.inference import Encoder
+
+
+def encode_dataset(path: Path, encoder: Encoder, cache: Path) -> dict[str, np.ndarray]:
+    """Features (T, 30) of every demonstration by name; from `cache` if it was made of these data by this encoder.
+
+    Raises InputError if `cache` is a file of another kind, or a damaged one: it is not overwritten.
+    """
+    names = [demo.name for demo in read_demonstrations(path)]
+    key = f"{encoder.hash} {content_of(path)}"
+    if cache.exists():
+        try:
+            with np.load(cache) as stored:
+                if str(stored["key"]) == key:
+                    return {name: stored[name] for name in names}
+        except Exception as error:  # whatever reading strange bytes may raise
+            raise InputError(
+                f"{cache}: not a whole file of features ({type(error).__name__}): delete it, or give another --features"
+            ) from error
+    frames = tqdm(iterate_frames(path, names), total=len(names), desc="encoding", unit="demonstration", disable=None)
+    features = {name: encoder.encode_batch(rgb) for name, rgb in zip(names, frames, strict=True)}
+    cache.parent.mkdir(parents=True, exist_ok=True)
+    partial = cache.with_name(f"{cache.stem}.{os.getpid()}.npz")  # other trainings may write the same file
+    np.savez(partial, allow_pickle=False, key=np.array(key), **features)
+    os.replace(partial, cache)
+    return features

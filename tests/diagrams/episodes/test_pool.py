@@ -1,0 +1,106 @@
+"""The pool: results as they come, workers that die, a parent that dies."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from diagrams.episodes.pool import ATTEMPTS, Pool, WorkerDied, kept_in_thread
+from models.command_line import ROOT
+from models.errors import InputError
+from tests.diagrams.episodes import pool_jobs
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with Pool(2) as pool:
+        yield pool
+
+
+def test_each_job_comes_with_its_result(pool):
+    assert sorted(pool.run(pool_jobs.double, range(7))) == [(n, 2 * n) for n in range(7)]
+
+
+def test_no_worker_means_this_thread():
+    with Pool(0) as pool:
+        found = list(pool.run(pool_jobs.process_and_count, ["a", "a"]))
+    assert found == [("a", (os.getpid(), 0)), ("a", (os.getpid(), 1))]
+
+
+def test_an_error_of_a_job_is_raised_and_ends_the_rest(pool):
+    seen = []
+    with pytest.raises(ValueError, match="three"):
+        seen += [job for job, _ in pool.run(pool_jobs.fail_at_three, range(50))]
+    assert sorted(pool.run(pool_jobs.double, [1])) == [(1, 2)]  # the pool is usable
+
+
+def test_jobs_are_handed_out_one_by_one(pool):
+    taken = []
+    run = pool.run(pool_jobs.double, (taken.append(n) or n for n in range(4)))
+    assert next(run)[1] in (0, 2)
+    run.close()
+    assert sorted(pool.run(pool_jobs.double, [5])) == [(5, 10)]
+
+
+def test_a_dead_worker_is_replaced_and_its_job_run_again(pool, tmp_path):
+    jobs = [(str(tmp_path), name) for name in "abc"]
+    assert sorted(name for _, name in pool.run(pool_jobs.kill_own_worker, jobs)) == ["a", "b", "c"]
+
+
+def test_a_job_that_kills_its_workers_is_given_up(pool):
+    jobs = ["one", "deadly", "two"]
+    found = dict(pool.run(pool_jobs.kill_every_worker, jobs, lambda job, gone: str(gone)))
+    assert (found["one"], found["two"]) == ("one", "two")
+    assert found["deadly"].startswith(f"{ATTEMPTS} workers died")
+    with pytest.raises(WorkerDied):
+        list(pool.run(pool_jobs.kill_every_worker, ["deadly"]))
+
+
+def test_what_is_kept_is_made_once_and_the_oldest_goes():
+    made = []
+
+    def make(name):
+        return kept_in_thread(("things", name), lambda: made.append(name) or name, most=2)
+
+    assert [make(name) for name in "aabbca"] == ["a", "a", "b", "b", "c", "a"]
+    assert made == ["a", "b", "c", "a"]
+
+
+def test_workers_end_with_a_killed_parent(tmp_path):
+    code = (
+        "from diagrams.episodes.pool import Pool\nfrom tests.diagrams.episodes import pool_jobs\n"
+        f"if __name__ == '__main__':\n    list(Pool(2).run(pool_jobs.write_pid_and_sleep, [{str(tmp_path / 'a')!r}, {str(tmp_path / 'b')!r}]))"
+    )
+    script = tmp_path / "parent.py"
+    script.write_text(code)
+    surroundings = os.environ | {"PYTHONPATH": str(ROOT)}
+    parent = subprocess.Popen([sys.executable, str(script)], env=surroundings, start_new_session=True)
+    files = [tmp_path / "a", tmp_path / "b"]
+    _wait_for(lambda: all(f.exists() and f.read_text() for f in files))
+    workers = [int(f.read_text()) for f in files]
+    os.kill(parent.pid, signal.SIGKILL)
+    parent.wait()
+    _wait_for(lambda: not any(_alive(pid) for pid in workers))
+
+
+def _alive(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def _wait_for(condition, seconds=40.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_negative_number_of_workers_is_refused():
+    with pytest.raises(InputError, match="workers -1 is too small"):
+        Pool(-1)

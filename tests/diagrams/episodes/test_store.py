@@ -1,0 +1,96 @@
+"""The store: rows survive a kill, and rows of another world or code are not mixed in."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from diagrams.episodes.fingerprint import code_hash, fingerprint
+from diagrams.episodes.store import RowStore
+from diagrams.world.configuration import Timing, World
+from models.errors import InputError
+
+IDENTITY = {"code": "abc", "seed": 0}
+
+
+def rows_of(path):
+    with RowStore(path, IDENTITY) as store:
+        return store.rows
+
+
+def test_rows_are_there_again(tmp_path):
+    path = tmp_path / "new" / "rows.jsonl"
+    with RowStore(path, IDENTITY) as store:
+        store.add("a", {"x": 0.1, "none": None})
+        store.add("b", [1, 2])
+        store.add("a", {"x": 0.1 + 0.2})
+    assert rows_of(path) == {"a": {"x": 0.1 + 0.2}, "b": [1, 2]}
+    assert len(path.read_text().splitlines()) == 4
+
+
+@given(st.floats())
+def test_numbers_come_back_to_the_bit(value):
+    back = json.loads(json.dumps(value))
+    assert back == value or (back != back and value != value)
+
+
+@pytest.mark.parametrize("cut", range(1, 12))
+def test_a_line_that_a_kill_left_unfinished_is_no_row(tmp_path, cut):
+    path = tmp_path / "rows.jsonl"
+    with RowStore(path, IDENTITY) as store:
+        store.add("a", 1)
+        store.add("b", 2)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-cut])
+    with RowStore(path, IDENTITY) as store:
+        assert store.rows == {"a": 1}
+        store.add("b", 2)
+    assert path.read_bytes() == whole
+
+
+def test_a_file_that_a_kill_left_without_its_first_line_begins_anew(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    path.write_text('{"finger')
+    assert rows_of(path) == {}
+    assert rows_of(path) == {}
+
+
+def test_another_fingerprint_is_refused_with_both_values(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    RowStore(path, IDENTITY).__exit__()
+    with pytest.raises(InputError, match=r"made with another seed \(0, now 1\): choose another --out"):
+        RowStore(path, IDENTITY | {"seed": 1})
+    with pytest.raises(InputError, match=r"another more \(None, now 2\)"):
+        RowStore(path, IDENTITY | {"more": 2})
+
+
+def test_damage_is_named_by_its_line(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    with RowStore(path, IDENTITY) as store:
+        store.add("a", 1)
+    path.write_text(path.read_text() + "nonsense\n")
+    with pytest.raises(InputError, match="damaged in line 3"):
+        RowStore(path, IDENTITY)
+
+
+def test_one_program_at_a_time(tmp_path):
+    with RowStore(tmp_path / "rows", IDENTITY), pytest.raises(InputError, match="in use by another program"):
+        RowStore(tmp_path / "rows", IDENTITY)
+
+
+def test_a_folder_that_cannot_be_written_is_named():
+    with pytest.raises(InputError, match=r"/dev/null/rows cannot be written .*choose another --out"):
+        RowStore(Path("/dev/null/rows"), IDENTITY)
+
+
+def test_the_fingerprint_knows_world_and_code(tmp_path):
+    first, other = fingerprint(World()), fingerprint(World(timing=Timing(time_step=0.005)))
+    assert first == fingerprint(World())
+    assert {name for name in first if first[name] != other[name]} == {"world.timing"}
+    assert code_hash() != code_hash("diagrams/hybrid")
+    path = tmp_path / "rows"
+    RowStore(path, first).__exit__()
+    with pytest.raises(InputError, match=r"another world.timing"):
+        RowStore(path, other)

@@ -1,0 +1,39 @@
+"""Windows, leading axes, and runs as they are stored."""
+
+import numpy as np
+import pytest
+
+from models.data.windows import decode_runs, encode_runs, leading_axes, posture_windows
+from models.errors import InputError
+
+
+def test_windows_are_newest_first_and_never_of_two_runs():
+    runs = [np.array([[0, 10], [1, 11], [2, 12], [3, 13]]), np.array([[4, 14], [5, 15], [6, 16]])]
+    windows = posture_windows(runs, 3)
+    assert windows.tolist() == [[[2, 1, 0], [3, 2, 1], [6, 5, 4]], [[12, 11, 10], [13, 12, 11], [16, 15, 14]]]
+
+
+def test_leading_axes_are_those_of_the_decomposition():
+    windows = 1.0 + np.cumsum(np.random.default_rng(0).normal(size=(2, 200, 10)), axis=2)
+    axes = leading_axes(windows)
+    assert (axes.shape, axes.dtype) == ((2, 10, 2), np.float32)
+    for rows, found in zip(windows, axes, strict=True):
+        expected = np.linalg.svd(rows.T)[0][:, :2]
+        assert found @ found.T == pytest.approx(expected @ expected.T, abs=1e-6)  # the same plane
+    assert np.array_equal(axes, leading_axes(windows))
+
+
+def test_runs_are_stored_in_tenths_of_a_milliradian():
+    encoded = encode_runs([np.array([[0.12344, -1.0]]), np.array([[3.2, 0.0], [0.00006, 0.0]])])
+    assert encoded["angles"].tolist() == [[1234, -10000], [32000, 0], [1, 0]]
+    assert encoded["lengths"].tolist() == [1, 2]
+    first, second = decode_runs(encoded)
+    assert first == pytest.approx(np.array([[0.1234, -1.0]]), abs=1e-12)
+    assert second == pytest.approx(np.array([[3.2, 0.0], [0.0001, 0.0]]), abs=1e-12)
+    again = encode_runs([first, second])
+    assert all(np.array_equal(encoded[name], again[name]) for name in encoded)
+
+
+def test_an_angle_that_cannot_be_stored_is_refused():
+    with pytest.raises(InputError, match=r"4\.00 rad cannot be stored; the limit is 3\.28 rad"):
+        encode_runs([np.full((10, 2), 4.0)])

@@ -1,0 +1,70 @@
+"""How programs end: exit code 2 and one line for bad input, whatever it is."""
+
+import subprocess
+import sys
+
+import pytest
+
+from models import command_line
+from models.command_line import ROOT, run
+from models.errors import InputError
+
+
+def end_of(main, arguments=lambda: None):
+    with pytest.raises(SystemExit) as ended:
+        run(main, arguments)
+    return ended.value.code
+
+
+def raiser(error):
+    def main(_):
+        raise error
+
+    return main
+
+
+def test_the_exit_code_is_that_of_main():
+    assert end_of(lambda given: given + 1, lambda: 0) == 1
+
+
+def test_bad_input_is_one_line(capsys):
+    assert end_of(raiser(InputError("one\n   two"))) == 2
+    assert capsys.readouterr().err == "error: one two\n"
+
+
+@pytest.mark.parametrize(
+    ("module", "extra"), [("h5py", "train"), ("distributed.client", "sweep"), ("optuna", "analysis")]
+)
+def test_a_missing_extra_is_named(capsys, module, extra):
+    assert end_of(raiser(ModuleNotFoundError("no", name=module))) == 2
+    assert capsys.readouterr().err == f"error: this needs {module}: pip install -e '.[{extra}]'\n"
+
+
+def test_a_missing_module_of_ours_is_a_bug():
+    with pytest.raises(ModuleNotFoundError):
+        run(raiser(ModuleNotFoundError("no", name="diagrams.wrold")), lambda: None)
+
+
+def test_an_installation_without_e_is_refused(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(command_line, "ROOT", tmp_path)
+    assert end_of(lambda _: 0) == 2
+    assert "pip install -e ." in capsys.readouterr().err
+
+
+def test_output_into_a_closed_pipe_ends_quietly():
+    code = (
+        "from models.command_line import run\n"
+        "run(lambda _: [print('x' * 1000) for _ in range(1000)] and 0, lambda: None)"
+    )
+    done = subprocess.run(
+        f'{sys.executable} -c "{code}" | head -c 10', shell=True, capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert (done.stdout, done.stderr) == ("x" * 10, "")
+
+
+@pytest.mark.parametrize("given", [0, 2, None, "words"])
+def test_the_parsers_own_exit_is_kept(given):
+    def parse():
+        sys.exit(given)
+
+    assert end_of(lambda _: 0, parse) == {None: 0, "words": 1}.get(given, given)

@@ -1,0 +1,58 @@
+"""Registries: names, entry points, and classes of other packages."""
+
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from models import registry as registry_module
+from models.errors import InputError
+from models.registry import Registry
+
+
+class Ours:
+    name = "ours"
+
+
+class Theirs:
+    name = "theirs"
+
+
+class Nameless:
+    pass
+
+
+HERE = __name__
+
+
+@pytest.fixture
+def registry(monkeypatch):
+    points = [EntryPoint("theirs", f"{HERE}:Theirs", "hindsight.things")]
+    monkeypatch.setattr(registry_module, "entry_points", lambda group: [p for p in points if p.group == group])
+    return Registry("thing", {"ours": f"{HERE}:Ours", "broken": "no_such_module:Class"})
+
+
+def test_names_need_no_import(registry):
+    assert list(registry) == ["ours", "broken", "theirs"]
+    assert registry.label("broken") == "broken"
+    registry.check("broken")
+
+
+def test_by_name_by_entry_point_and_by_class(registry):
+    assert registry["ours"].name == "ours"
+    assert registry["theirs"].name == "theirs"
+    assert registry[f"{HERE}:Theirs"].name == registry.label(f"{HERE}:Theirs") == "theirs"
+
+
+@pytest.mark.parametrize(
+    ("spec", "named"),
+    [
+        ("other", "no thing 'other': choose from ours, broken, theirs, or give one as package.module:Class"),
+        ("broken", "cannot be loaded"),
+        (f"{HERE}:Missing", "cannot be loaded"),
+        (f"{HERE}:Nameless", "has no attribute `name`"),
+        (":", "cannot be loaded"),
+    ],
+)
+def test_what_is_not_there_is_named(registry, spec, named):
+    with pytest.raises(InputError, match=named):
+        registry[spec]

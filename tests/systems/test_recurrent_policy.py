@@ -1,0 +1,67 @@
+"""RecurrentPolicy: hand-worked numbers at the ticks, and what is refused."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from systems.recurrent_policy import RecurrentPolicy
+from tests.systems.controller_fakes import PERIOD, FakePolicy
+from tests.systems.system_checks import outputs
+
+
+def test_recurrent_policy_by_hand():
+    policy = FakePolicy(joints=1, feature_size=1, horizon=2, drift=0.25, nonsense=0.125)
+    initial = policy.scaling.scale(policy.initial_posture)
+    system = RecurrentPolicy(policy, PERIOD)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    found = outputs(system, context)
+    assert found["predicted_posture"] == pytest.approx(initial)
+    assert found["predicted_features"].tolist() == [0.0]
+    assert found["hidden_state"] == pytest.approx(policy.initial_state)
+    assert found["recalled_postures"] == pytest.approx(np.concatenate((initial, initial + 0.125, initial + 0.125)))
+
+    port = system.GetInputPort("network_input")
+    port.FixValue(context, [0.5, -0.25, 1.0])
+    simulator.AdvanceTo(0.5 * PERIOD)
+    found = outputs(system, context)
+    assert found["predicted_posture"].tolist() == [0.75, 0.0]
+    assert found["predicted_features"].tolist() == [0.5]
+    # Row 0: the prediction made before this tick; rows 1, 2: recalled from the new hidden state.
+    assert found["recalled_postures"] == pytest.approx(np.concatenate((initial, initial + 0.125, initial + 0.125)))
+
+    port.FixValue(context, [1.0, -2.0, 4.0])
+    simulator.AdvanceTo(1.5 * PERIOD)
+    found = outputs(system, context)
+    assert found["predicted_posture"].tolist() == [1.0, -1.0]  # 1.25, -1.75 clipped
+    assert found["predicted_features"].tolist() == [1.0]  # 2 clipped
+    expected = np.concatenate(([0.75, 0.0], [0.625, -0.125], initial + 0.125))
+    assert found["recalled_postures"] == pytest.approx(expected)
+
+
+def test_recurrent_policy_stops_at_values_that_are_not_finite():
+    policy = FakePolicy()
+    system = RecurrentPolicy(policy, PERIOD)
+    simulator = Simulator(system)
+    system.GetInputPort("network_input").FixValue(simulator.get_mutable_context(), np.full(8, np.nan))
+    with pytest.raises(ValueError, match=r"t = 0 s has values that are not finite.*check the weights"):
+        simulator.AdvanceTo(0.01)
+
+
+def test_a_policy_that_writes_to_its_state_does_no_harm():
+    policy = FakePolicy()
+    step = policy.step
+
+    def writing_step(x, state):
+        y, after = step(x, state)
+        state[:] = 1e9
+        return y, after
+
+    policy.step = writing_step
+    system = RecurrentPolicy(policy, PERIOD)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    system.GetInputPort("network_input").FixValue(context, np.zeros(8))
+    for k in range(2):
+        simulator.AdvanceTo((k + 0.5) * PERIOD)
+        assert np.abs(outputs(system, context)["hidden_state"]).max() < 2.0
