@@ -22,10 +22,9 @@ def save_search(trials: dict[str, list[dict[str, Any]]], path: Path) -> None:
         best = np.fmin.accumulate([t["objective"] for t in row] or [np.nan])
         left.step(np.arange(1, len(best) + 1), best, where="post", color=colour, marker=".", label=name)
     left.axhline(1.0, color="0.5", lw=0.8, ls="--")
-    left.text(0.5, 0.98, "below: magnitude of a counterexample", fontsize=8, va="top")
-    left.text(0.5, 1.02, "above: 1 + margin to one", fontsize=8, va="bottom")
     longest = max(map(len, trials.values()), default=0)
     left.set(xlim=(0, longest + 1), ylim=(0, 2), xlabel="trials", ylabel="best objective so far")
+    left.set_title("below 1: magnitude of a counterexample; above: 1 + margin to one", fontsize=9)
     left.legend()
     for kind, (mark, colour) in MARKS.items():
         chosen = [(t["moved_deg"], t["length_ticks"]) for row in trials.values() for t in row if t["failure"] == kind]

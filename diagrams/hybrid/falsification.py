@@ -128,7 +128,7 @@ def _comments(arguments: Falsify, file: str, trial: Trial, weights_hash: str) ->
     perturbation = trial.perturbation
     weights = "" if arguments.weights == WEIGHTS else " --weights DIR"
     return [
-        f"{trial.failure}: {perturbation.form} by {trial.moved_deg:.1f} deg, {perturbation.ticks} ticks, "
+        f"{trial.failure}: {perturbation.form}, {trial.moved_deg:.1f} deg, {perturbation.ticks} ticks, "
         f"in subtask {perturbation.disturbance.subtask}",
         f"{arguments.policy_path.name} with the hash {weights_hash[:16]}; record {trial.record_hash[:16]}",
         f"python diagrams/pick_place.py --scenario {file}{weights}",

@@ -19,8 +19,6 @@ import copy
 import numpy as np
 import torch
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
-from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
 
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
@@ -28,8 +26,7 @@ from diagrams.world.station import PickPlaceStation, controller_limits
 from models.errors import InputError
 from models.files.weights import StoredPolicy
 from models.networks.rnn import RecurrentNetwork
-from systems.alpha_mixer import AlphaMixer
-from systems.posture_regulator import make_posture_regulator
+from systems.regulated_mixer import RegulatedMixer
 
 DIFFERENCE = 1e-5  # of the central differences, scaled units
 
@@ -48,6 +45,9 @@ class OneTickMap:
         self._law_context = self._law.CreateDefaultContext()
         self._law_ad = self._law.ToAutoDiffXd()
         self._law_ad_context = self._law_ad.CreateDefaultContext()
+        for law, context in ((self._law, self._law_context), (self._law_ad, self._law_ad_context)):
+            for port in ("alpha", "last_alphas"):
+                law.GetInputPort(port).FixValue(context, np.zeros(1))
 
     def join(self, hidden: np.ndarray, posture: np.ndarray) -> np.ndarray:
         """z (S + 8,) of a hidden state (S,) and a scaled posture (8,)."""
@@ -95,35 +95,18 @@ def _command(law, context, posture: np.ndarray, prediction: np.ndarray) -> np.nd
     return law.GetOutputPort("desired_posture").Eval(context).copy()
 
 
-def _law(world: World, stored: StoredPolicy) -> Diagram:
-    """Mixer and regulator, scaled, under alpha = 0; inputs posture and predicted_posture, output desired_posture."""
-    scaling, size = stored.scaling, stored.rnn.posture_size
+def _law(world: World, stored: StoredPolicy) -> RegulatedMixer:
+    """Regulator and mixer, scaled."""
+    scaling = stored.scaling
     lower, upper, speed = controller_limits(PickPlaceStation(world, camera=False))
-    builder = DiagramBuilder()
-    regulator = builder.AddSystem(
-        make_posture_regulator(
-            posture_size=size,
-            joints=ARM_JOINTS,
-            initial_posture=scaling.scale(stored.initial_posture),
-            Q=world.regulator.state_weight,
-            R=world.regulator.input_weight,
-            period=world.timing.period,
-        )
+    return RegulatedMixer(
+        posture_size=stored.rnn.posture_size,
+        joints=ARM_JOINTS,
+        initial_posture=scaling.scale(stored.initial_posture),
+        Q=world.regulator.state_weight,
+        R=world.regulator.input_weight,
+        period=world.timing.period,
+        lower=scaling.scale(lower),
+        upper=scaling.scale(upper),
+        max_step=speed * world.timing.period / scaling.half_range,
     )
-    mixer = builder.AddSystem(
-        AlphaMixer(
-            posture_size=size,
-            lower=scaling.scale(lower),
-            upper=scaling.scale(upper),
-            max_step=speed * world.timing.period / scaling.half_range,
-        )
-    )
-    alpha = builder.AddSystem(ConstantVectorSource(np.zeros(1)))
-    builder.ExportInput(mixer.GetInputPort("posture"), "posture")
-    builder.ConnectInput("posture", regulator.GetInputPort("posture"))
-    builder.ExportInput(mixer.GetInputPort("predicted_posture"), "predicted_posture")
-    builder.Connect(regulator.GetOutputPort("step"), mixer.GetInputPort("regulator_step"))
-    for port in ("alpha", "last_alphas"):
-        builder.Connect(alpha.get_output_port(), mixer.GetInputPort(port))
-    builder.ExportOutput(mixer.GetOutputPort("desired_posture"), "desired_posture")
-    return builder.Build()

@@ -11,16 +11,15 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import at_home
-from systems.alpha_mixer import AlphaMixer
 from systems.posture_history import PostureHistory
-from systems.posture_regulator import make_posture_regulator
+from systems.regulated_mixer import RegulatedMixer
 
 TIME_LIMIT = 10.0  # s: an arm that is not at home by then has failed
 TICKS_AT_HOME = 5  # simulated beyond the arrival, for V
 
 
 class ReturnLoop:
-    """Station, PostureHistory, the LQR and AlphaMixer under alpha = 1."""
+    """Station, PostureHistory and RegulatedMixer under alpha = 1."""
 
     def __init__(self, world: World):
         self.world = world
@@ -32,26 +31,24 @@ class ReturnLoop:
         history = builder.AddNamedSystem(
             "posture_history", PostureHistory(posture_size=size, horizon=1, period=period, initial_posture=initial)
         )
-        regulator = builder.AddSystem(
-            make_posture_regulator(
+        mixer = builder.AddNamedSystem(
+            "regulated_mixer",
+            RegulatedMixer(
                 posture_size=size,
                 joints=ARM_JOINTS,
                 initial_posture=initial,
                 Q=world.regulator.state_weight,
                 R=world.regulator.input_weight,
                 period=period,
-            )
-        )
-        mixer = builder.AddNamedSystem(
-            "alpha_mixer", AlphaMixer(posture_size=size, lower=lower, upper=upper, max_step=speed * period)
+                lower=lower,
+                upper=upper,
+                max_step=speed * period,
+            ),
         )
         alpha = builder.AddNamedSystem("alpha", ConstantVectorSource(np.ones(1)))
-        posture = history.GetOutputPort("posture")
         builder.Connect(self.station.GetOutputPort("posture"), history.GetInputPort("posture"))
-        builder.Connect(posture, regulator.GetInputPort("posture"))
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say
-            builder.Connect(posture, mixer.GetInputPort(port))
-        builder.Connect(regulator.GetOutputPort("step"), mixer.GetInputPort("regulator_step"))
+            builder.Connect(history.GetOutputPort("posture"), mixer.GetInputPort(port))
         for port in ("alpha", "last_alphas"):
             builder.Connect(alpha.get_output_port(), mixer.GetInputPort(port))
         builder.Connect(mixer.GetOutputPort("desired_posture"), self.station.GetInputPort("desired_posture"))

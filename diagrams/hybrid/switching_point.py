@@ -13,7 +13,6 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.episodes.calibration import COMPONENT_WEIGHTS
 from diagrams.hybrid.common import Arguments
 from diagrams.hybrid.fixed_point import measure_decay, nearest_fixed_point
 from diagrams.world.configuration import World
@@ -23,7 +22,9 @@ from diagrams.world.station import PickPlaceStation
 from diagrams.world.task import lifted
 from diagrams.world.trajectory import subtask_commands
 from models.errors import InputError
+from systems.detector import alpha_of
 from systems.image_encoder import ImageEncoder
+from systems.recall_detector import joint_weights, recall_errors
 
 if TYPE_CHECKING:
     from models.files.weights import StoredPolicy
@@ -196,5 +197,5 @@ def _alpha(stored: StoredPolicy, z: np.ndarray, size: int) -> float | None:
     # At rest the prediction is what the regulator pulls against (n = 0).
     pull = stored.regulator_gain * (z[-size:] - stored.scaling.scale(stored.initial_posture))
     offsets = np.vstack((pull, recalled - z[-size:]))
-    worst = float(np.max(np.average(offsets**2, axis=1, weights=COMPONENT_WEIGHTS) / stored.reference_errors))
-    return float(1.0 / (1.0 + np.exp(np.clip(-stored.beta * (worst - stored.gamma), -700.0, 700.0))))
+    errors = recall_errors(offsets, joint_weights(size, ARM_JOINTS), np.array(stored.reference_errors))
+    return float(alpha_of(errors, stored.beta, stored.gamma))
