@@ -19,7 +19,6 @@ posture_regulator      Drake's LQR for the discrete posture integrator
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 regulated_mixer        the two of them, as one Diagram
 disturbance            moves or stops the arm in an experiment (discrete state)
-switching_law          all that is pure mathematics, as one Diagram (converts to AutoDiffXd)
 switched_controller    all of the controller, as one Diagram
 arguments              checks of constructor arguments
 =====================  =============================================================================================

@@ -9,7 +9,7 @@ from systems.arguments import require_bounds, require_count, require_vector
 
 
 def clamp(x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Returns `x` (n,) within the bounds (n,); float or AutoDiffXd. Twice as fast as np.clip on a handful of numbers."""
+    """Returns `x` (n,) within the bounds (n,); float or AutoDiffXd. Twice as fast as np.clip on so few numbers."""
     return np.minimum(np.maximum(x, lower), upper)
 
 
@@ -53,45 +53,27 @@ def AlphaMixer_(T):
         lower, upper (M,), bounds of the command; max_step (M,) >= 0, largest step a tick; settling_ticks (D) >= 1.
         """
 
-        def _construct(
-            self,
-            *,
-            posture_size: int,
-            joints: int,
-            lower: np.ndarray,
-            upper: np.ndarray,
-            max_step: np.ndarray,
-            settling_ticks: int = 1,
-            converter=None,
-        ):
+        def _construct(self, *, posture_size, joints, lower, upper, max_step, settling_ticks=1, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)
             size = require_count("posture_size", posture_size)
             self._joints = require_count("joints", joints, 0, size)
             self._lower, self._upper = require_bounds("lower", lower, "upper", upper, size)
             self._max_step = require_vector("max_step", max_step, size, minimum=0.0)
             ticks = require_count("settling_ticks", settling_ticks)
+            limits = dict(lower=self._lower, upper=self._upper, max_step=self._max_step)
+            self._arguments = dict(posture_size=size, joints=joints, settling_ticks=ticks, **limits)
             self._posture = self.DeclareVectorInputPort("posture", size)
             self._predicted = self.DeclareVectorInputPort("predicted_posture", size)
             self._regulator_step = self.DeclareVectorInputPort("regulator_step", size)
             self._alpha = self.DeclareVectorInputPort("alpha", 1)
             self._last_alphas = self.DeclareVectorInputPort("last_alphas", ticks)
             prediction = {self._posture.ticket(), self._predicted.ticket()}
-            self.DeclareVectorOutputPort(
-                "desired_posture", size, self._calc_desired_posture, {self.all_input_ports_ticket()}
-            )
+            everything = {self.all_input_ports_ticket()}
+            self.DeclareVectorOutputPort("desired_posture", size, self._calc_desired_posture, everything)
             self.DeclareVectorOutputPort("rnn_step", size, self._calc_rnn_step, prediction)
 
         def _construct_copy(self, other, converter=None):
-            Impl._construct(
-                self,
-                posture_size=len(other._lower),
-                joints=other._joints,
-                lower=other._lower,
-                upper=other._upper,
-                max_step=other._max_step,
-                settling_ticks=other._last_alphas.size(),
-                converter=converter,
-            )
+            Impl._construct(self, **other._arguments, converter=converter)
 
         def _rnn_step(self, context):
             return self._predicted.Eval(context) - self._posture.Eval(context)

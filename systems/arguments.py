@@ -8,7 +8,7 @@ from models.errors import InputError
 
 
 def require_count(name: str, value: int, minimum: int = 1, maximum: int | None = None) -> int:
-    """Returns `value` as an int; raises ValueError unless it is a whole number >= `minimum`, and <= `maximum` if given."""
+    """Returns `value` as an int; raises ValueError unless it is a whole number from `minimum` to `maximum`."""
     whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     if not whole or value < minimum or (maximum is not None and value > maximum):
         limit = f"at least {minimum}" + ("" if maximum is None else f" and at most {maximum}")
@@ -50,6 +50,5 @@ def require_bounds(lower_name: str, lower, upper_name: str, upper, size: int) ->
 def require_arrays(detector: str, arrays: dict, *names: str) -> None:
     """Raises InputError unless the arrays of a detector's file have these `names`."""
     if set(arrays) != set(names):
-        raise InputError(
-            f"the file of the detector '{detector}' holds {sorted(arrays)}, where {sorted(names)} are needed: fit it again"
-        )
+        has, wanted = sorted(arrays), sorted(names)
+        raise InputError(f"the file of the detector '{detector}' holds {has}, where {wanted} are needed: fit it again")

@@ -18,7 +18,7 @@ finds by a name or as `package.module:Class`, offers beside the ports:
     name: str, a short one.
     fit(runs) -> arrays: static; what it learns from runs (T_i, J), rad, as a file keeps it: numpy arrays by name.
     build(policy, joints, arrays) -> System: static; judges the first `joints` components, and never fires yet.
-        `policy`: see models/inference.py.
+        `policy`: see models/inference.py; `arrays`: of `fit`.
     set_calibration(context, reference_errors, beta, gamma): of one Context; see CalibratedDetector, which has it.
 """
 
@@ -36,57 +36,47 @@ EXPONENT = 500.0  # exp(500) is finite; 1 / (1 + exp(500)) is 0 to every purpose
 
 
 def alpha_of(errors: np.ndarray, beta, gamma):
-    """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eq. 6, of `errors` (E,); float or AutoDiffXd, no overflow for any of them."""
+    """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eq. 6, of `errors` (E,), float or AutoDiffXd; no size overflows."""
     x = beta * (errors - gamma)
     limit = np.full(x.shape, type(x[0])(EXPONENT))
     with np.errstate(over="ignore"):  # in the square of a denominator, of which AutoDiffXd takes the inverse: 0
         return np.max(1.0 / (1.0 + np.exp(-np.minimum(np.maximum(x, -limit), limit))))
 
 
-def sizes_of(policy) -> dict[str, int]:
-    """The policy's M, N and S as the keywords that a detector's ports are declared with."""
-    return {name: getattr(policy, name) for name in ("posture_size", "horizon", "state_size")}
+def _input_sizes(policy) -> dict[str, int]:
+    horizon = require_count("policy.horizon", policy.horizon)
+    rows = (horizon + 1) * require_count("policy.posture_size", policy.posture_size)
+    state_size = require_count("policy.state_size", policy.state_size)
+    return {"posture_history": rows, "recalled_postures": rows, "hidden_state": state_size}
 
 
-def declare_detector_inputs(system, *, posture_size: int, horizon: int, state_size: int) -> tuple:
-    """Declares a detector's three input ports on `system`; returns them in the order of the module's docstring."""
-    rows = (require_count("horizon", horizon) + 1) * require_count("posture_size", posture_size)
-    return (
-        system.DeclareVectorInputPort("posture_history", rows),
-        system.DeclareVectorInputPort("recalled_postures", rows),
-        system.DeclareVectorInputPort("hidden_state", require_count("state_size", state_size)),
-    )
+def declare_detector_inputs(system, policy) -> tuple:
+    """Declares a detector's three input ports on `system`; returns them in the order of the module's docstring.
+
+    `policy`: any object with `posture_size` M, `horizon` N, `state_size` S.
+    """
+    return tuple(system.DeclareVectorInputPort(name, size) for name, size in _input_sizes(policy).items())
 
 
-def check_detector(system: System, *, posture_size: int, horizon: int, state_size: int) -> None:
-    """Raises ValueError unless `system` has a detector's ports with the sizes asked for, and `set_calibration`."""
-    rows = (horizon + 1) * posture_size
-    inputs = {"posture_history": rows, "recalled_postures": rows, "hidden_state": state_size}
-    outputs = {"errors": None, "alpha": 1}
-    for has, get, wanted, kind in (
-        (system.HasInputPort, system.GetInputPort, inputs, "input"),
-        (system.HasOutputPort, system.GetOutputPort, outputs, "output"),
-    ):
-        for name, size in wanted.items():
-            if not has(name):
-                raise ValueError(
-                    f"The detector {type(system).__name__} has no {kind} port `{name}`: declare the ports that the "
-                    "docstring of systems/detector.py lists."
-                )
-            if size is not None and get(name).size() != size:
-                raise ValueError(
-                    f"The detector's {kind} port `{name}` has size {get(name).size()}, the policy asks for {size}: "
-                    "build the detector with the policy's posture_size, horizon and state_size."
-                )
+def check_detector(system: System, policy) -> None:
+    """Raises ValueError unless `system` has a detector's ports with the policy's sizes, and `set_calibration`."""
+    kind = type(system).__name__
+    ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
+    ports += [system.get_output_port(i) for i in range(system.num_output_ports())]
+    have = {port.get_name(): port.size() for port in ports}
+    for name, size in (_input_sizes(policy) | {"errors": None, "alpha": 1}).items():
+        if name not in have:
+            raise ValueError(f"{kind} has no port `{name}`: declare the ports that systems/detector.py lists.")
+        if size is not None and have[name] != size:
+            raise ValueError(
+                f"The port `{name}` of {kind} has size {have[name]}, the policy asks for {size}: build it for that."
+            )
     if not hasattr(system, "set_calibration"):
-        raise ValueError(
-            f"The detector {type(system).__name__} has no method `set_calibration`: derive it from CalibratedDetector, "
-            "or write the method that the docstring of systems/detector.py names."
-        )
+        raise ValueError(f"{kind} has no method `set_calibration`: derive it from CalibratedDetector, or write one.")
 
 
 class CalibratedDetector:
-    """alpha = max_n 1 / (1 + exp(-beta (l_n / r_n - gamma))), n = 1 .. E; a subclass says what l_n is.
+    """alpha = max_n 1 / (1 + exp(-beta (l_n / r_n - gamma))) over E criteria; a subclass says what l_n is.
 
     A mixin: `class Mine(CalibratedDetector, LeafSystem)`. The subclass calls `declare_ports` in its constructor and
     defines `calc_errors`.
@@ -106,16 +96,16 @@ class CalibratedDetector:
         """What is learned from `runs`, (T_i, J) rad each: nothing."""
         return {}
 
-    def declare_ports(self: Any, sizes: dict[str, int], *, criteria: int, reads: tuple[str, ...], scalar=float) -> None:
+    def declare_ports(self: Any, policy, *, criteria: int, reads: tuple[str, ...], scalar: type = float) -> None:
         """Declares a detector's ports, and its parameters.
 
         Args:
-            sizes: posture_size, horizon, state_size of the policy.
+            policy: see `declare_detector_inputs`.
             criteria: E.
             reads: names of the inputs that `calc_errors` reads.
             scalar: of the system: float or AutoDiffXd.
         """
-        self.posture_history, self.recalled_postures, self.hidden_state = declare_detector_inputs(self, **sizes)
+        self.posture_history, self.recalled_postures, self.hidden_state = declare_detector_inputs(self, policy)
         self._references, self._beta, self._gamma = (
             self.DeclareNumericParameter(BasicVector_[scalar]([scalar(value)] * size))
             for value, size in ((1.0, criteria), (1.0, 1), (NEVER, 1))
@@ -139,7 +129,7 @@ class CalibratedDetector:
         references = require_vector("reference_errors", reference_errors, size, minimum=0.0)
         if np.any(references == 0.0):
             raise ValueError(
-                f"reference_errors is {references}; every component must be greater than 0, errors are divided by them: "
+                f"reference_errors is {references}; every component must be greater than 0, errors are divided by it: "
                 "calibrate on runs in which the arm moves."
             )
         values = references, [require_positive("beta", beta)], require_vector("gamma", [gamma], 1)

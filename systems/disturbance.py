@@ -89,7 +89,7 @@ class Disturbance(LeafSystem):
         return int(context.get_discrete_state(self._ticks).value()[0])
 
     def _vectors(self, given: DisturbanceParameters) -> tuple[list[float], np.ndarray]:
-        """The parameter vectors: [number of the kind, level, hold ticks], and the target (M,), NaN where there is none."""
+        """Number of the kind, level and hold ticks; and the target (M,), NaN where there is none."""
         if given.kind not in KINDS:
             raise ValueError(f"kind is {given.kind!r}; it must be one of {', '.join(KINDS)}: pass one of them.")
         level = 0.0 if given.kind == "none" and given.level is None else given.level

@@ -1,4 +1,4 @@
-"""A dwell time after the switch back: the recall is not judged while the network's input turns from imagined to seen."""
+"""A dwell time after the switch back, while the network's input turns from imagined to seen."""
 
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import LeafSystem_
@@ -14,10 +14,10 @@ def DwellTime_(T):
     class Impl(LeafSystem_[T]):
         """alpha_k of the detector, but 0 in the `dwell_ticks` ticks after the one at which alpha fell below 1/2.
 
-        At the tick after that, the network sees for the first time again what is, not what it imagined (Eqs. 7, 8). What
-        it recalls then of the tick before is off for a moment, and alpha would rise for a tick or two, and fall again.
-        With W dwell ticks a stay below 1/2 lasts W + 1 ticks at least, so that the guard is crossed twice in W + 2 ticks
-        at most.
+        At the tick after that, the network sees for the first time again what is, not what it imagined (Eqs. 7, 8).
+        What it recalls then of the tick before is off for a moment: alpha would rise for a tick or two, and fall again.
+        With W dwell ticks a stay below 1/2 lasts W + 1 ticks at least, so that the guard is crossed twice in W + 2
+        ticks at most.
 
         .. pydrake_system::
 

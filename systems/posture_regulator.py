@@ -1,4 +1,4 @@
-"""The way home: Drake's LQR for the discrete posture integrator, shifted to the initial posture (Sec. III-D)."""
+"""The return: Drake's LQR for the discrete posture integrator, shifted to the initial posture (Sec. III-D)."""
 
 import numpy as np
 from pydrake.math import DiscreteAlgebraicRiccatiEquation

@@ -6,33 +6,27 @@ from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from systems.arguments import require_count
-from systems.detector import CalibratedDetector, sizes_of
+from systems.detector import CalibratedDetector
 
 
-def joint_weights(posture_size: int, joints: int) -> np.ndarray:
-    """(M,) weights of the components in l_n: 1 / J for the first J, the joints; 0 for the fingers.
-
-    Under alpha = 1 the fingers keep their command whatever the network goes through: their recall is not judged.
-    """
-    weights = np.append(np.ones(joints), np.zeros(posture_size - joints))
-    return weights / weights.sum()
-
-
-def recall_errors(difference: np.ndarray, weights: np.ndarray, reference_errors: np.ndarray) -> np.ndarray:
+def recall_errors(difference: np.ndarray, joints: int, reference_errors: np.ndarray) -> np.ndarray:
     """l_n / r_n, (N + 1,), Eq. 5: l_n is the squared error of what is recalled of tick k - n, averaged over the joints.
 
+    Under alpha = 1 the fingers keep their command whatever the network goes through: their recall is not judged.
+
     Args:
-        difference: (N + 1, M) recalled minus measured postures (or the reverse), scaled.
-        weights: (M,) of `joint_weights`.
-        reference_errors: (N + 1,) r_n, scaled units squared; float or AutoDiffXd, like `difference`.
+        difference: (N + 1, M) recalled minus measured postures (or the reverse), scaled; float or AutoDiffXd.
+        joints: J, the first J components are joints.
+        reference_errors: (N + 1,) r_n, scaled units squared.
     """
-    return (difference * difference * (weights / reference_errors[:, None])).sum(axis=1)
+    weights = np.append(np.ones(joints), np.zeros(difference.shape[1] - joints))
+    return (difference * difference * (weights / weights.sum() / reference_errors[:, None])).sum(axis=1)
 
 
 @TemplateSystem.define("RecallDetector_", T_list=[float, AutoDiffXd])
 def RecallDetector_(T):
     class Impl(CalibratedDetector, LeafSystem_[T]):
-        """Judges the recall of each of the last N + 1 ticks; row 0 is the prediction that the tick before made for this one.
+        """Judges the recall of each of the last N + 1 ticks; row 0 is the prediction that the tick before made.
 
         .. pydrake_system::
 
@@ -48,30 +42,29 @@ def RecallDetector_(T):
         Ports: see systems/detector.py; errors (N + 1,): l_n / r_n, n = 0 .. N. `hidden_state` is left unread.
         Direct feedthrough of both postures; converts to AutoDiffXd.
 
-        Constructor: keywords posture_size (M), horizon (N), state_size (S); joints (J), the first J components are judged.
+        Constructor: policy, any object with `posture_size` M, `horizon` N, `state_size` S; joints (J), the first J
+        components are judged.
         """
 
         name = "recall"
 
-        def _construct(self, *, joints: int, converter=None, **sizes):
+        def _construct(self, policy, joints: int, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)
             reads = ("posture_history", "recalled_postures")
-            self.declare_ports(sizes, criteria=sizes["horizon"] + 1, reads=reads, scalar=T)
-            joints = require_count("joints", joints, maximum=sizes["posture_size"])
-            self._arguments = sizes | {"joints": joints}
-            self._weights = joint_weights(sizes["posture_size"], joints)
+            self.declare_ports(policy, criteria=policy.horizon + 1, reads=reads, scalar=T)
+            self._policy, self._joints = policy, require_count("joints", joints, maximum=policy.posture_size)
 
         def _construct_copy(self, other, converter=None):
-            Impl._construct(self, **other._arguments, converter=converter)
+            Impl._construct(self, other._policy, other._joints, converter=converter)
 
         @staticmethod
-        def build(policy, joints: int, arrays: dict):
+        def build(policy, joints, arrays):
             """Returns the detector for `policy`; nothing was fitted, `arrays` is empty."""
-            return RecallDetector(**sizes_of(policy), joints=joints)
+            return RecallDetector(policy, joints)
 
         def calc_errors(self, context, reference_errors):
             difference = self.posture_history.Eval(context) - self.recalled_postures.Eval(context)
-            return recall_errors(difference.reshape(-1, len(self._weights)), self._weights, reference_errors)
+            return recall_errors(difference.reshape(-1, self._policy.posture_size), self._joints, reference_errors)
 
     return Impl
 

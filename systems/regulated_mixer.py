@@ -27,39 +27,18 @@ class RegulatedMixer(Diagram):
     Direct feedthrough; no state; converts to AutoDiffXd, to a plain Diagram with the same ports.
     """
 
-    def __init__(
-        self,
-        *,
-        posture_size: int,
-        joints: int,
-        initial_posture: np.ndarray,
-        Q,
-        R,
-        period: float,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        max_step: np.ndarray,
-        settling_ticks: int = 1,
-    ):
+    def __init__(self, *, posture_size: int, joints: int, initial_posture: np.ndarray, Q, R, period: float, **limits):
         """
         Args:
             posture_size: M; joints: J <= M, the first J components are regulated, the others are fingers.
             initial_posture, Q, R, period: see `make_posture_regulator`.
-            lower, upper, max_step, settling_ticks: see AlphaMixer.
+            limits: lower, upper, max_step, settling_ticks of AlphaMixer.
         """
         super().__init__()
+        sizes = {"posture_size": posture_size, "joints": joints}
         builder = DiagramBuilder()
-        regulator = make_posture_regulator(
-            posture_size=posture_size, joints=joints, initial_posture=initial_posture, Q=Q, R=R, period=period
-        )
-        mixer = AlphaMixer(
-            posture_size=posture_size,
-            joints=joints,
-            lower=lower,
-            upper=upper,
-            max_step=max_step,
-            settling_ticks=settling_ticks,
-        )
+        regulator = make_posture_regulator(**sizes, initial_posture=initial_posture, Q=Q, R=R, period=period)
+        mixer = AlphaMixer(**sizes, **limits)
         builder.AddNamedSystem("posture_regulator", regulator)
         builder.AddNamedSystem("alpha_mixer", mixer)
         builder.Connect(regulator.get_output_port(), mixer.GetInputPort("regulator_step"))

@@ -1,4 +1,4 @@
-"""The second baseline: how much of a window is outside the subspace of the leading axes of the training runs' windows?"""
+"""The second baseline: how much of a window is outside the leading axes of the training runs' windows?"""
 
 import numpy as np
 

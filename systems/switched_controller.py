@@ -5,17 +5,18 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import AffineSystem
 
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
-from systems.detector import sizes_of
+from systems.detector import check_detector
+from systems.dwell_time import DwellTime
 from systems.image_encoder import ImageEncoder
+from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
 from systems.posture_regulator import lqr
 from systems.recurrent_policy import RecurrentPolicy
 from systems.regulated_mixer import RegulatedMixer
-from systems.switching_law import SwitchingLaw
 
 
 class SwitchedController(Diagram):
-    """Follows the learned trajectory while the network recalls what the arm did; else brings the arm to its initial posture.
+    """Follows the learned trajectory while the network recalls what the arm did; else brings the arm home.
 
     .. pydrake_system::
 
@@ -25,29 +26,29 @@ class SwitchedController(Diagram):
         - posture
         output_ports:
         - desired_posture
+        - rnn_step
+        - regulator_step
         - alpha
         - errors
         - hidden_state
         - predicted_features
-        - features
-        - rnn_step
-        - regulator_step
         - recalled_postures
         - posture_history
+        - features
 
     Inputs (read at the ticks only):
         rgb_image: ImageRgba8U of image_width x image_height pixels.
         posture: (M,) physical units: measured joint angles (rad), then the finger openings as commanded (m).
     Outputs (physical units; constant between ticks; only `features` has direct feedthrough, of the image):
         desired_posture: (M,) the command m_k + dm.
+        rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
         alpha: (1,) alpha_k; the loop closing of tick k uses alpha_{k-1}.
         errors: (E,) of the detector.
         hidden_state: (S,) c_k.
         predicted_features: (F,) f^R_{k+1}, in [-1, 1].
-        features: (F,) of the image, in [-1, 1]. Encodes when pulled: pull it at a tick, where the update needs it too.
-        rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
         recalled_postures: ((N + 1) M,) m^R_k, m^R_{k-1}, ..., m^R_{k-N}, *scaled*, row by row.
         posture_history: ((N + 1) M,) m_k, m_{k-1}, ..., m_{k-N}, *scaled*, row by row.
+        features: (F,) of the image, in [-1, 1]. Encodes when pulled: pull it at a tick, where the update needs it too.
 
     Inside, postures are scaled to [-1, 1] by the bounds in the policy's weight file. An update at tick k reads image,
     posture and alpha as they stand before it; the outputs after it are those of tick k. A publish event at the same
@@ -76,7 +77,8 @@ class SwitchedController(Diagram):
         Args:
             encoder, policy: see models/inference.py, or any objects like ImageEncoder and RecurrentPolicy ask for.
             detector: any system that is one by systems/detector.py, for scaled postures, as
-                `DETECTORS[...].build(policy, joints, arrays)` gives it; `set_calibration` says when it fires.
+                `DETECTORS[...].build(policy, joints, arrays)` gives it. In a default Context it never fires: call
+                `set_calibration`.
             joints: J, the first J components are brought home; the others are fingers.
             regulator_Q, regulator_R: cost of the deviation and of the step, see `systems.posture_regulator.lqr`. Their
                 gain must be `policy.regulator_gain`, with which the network was trained.
@@ -91,12 +93,12 @@ class SwitchedController(Diagram):
         """
         super().__init__()
         period = require_positive("period", period)
-        sizes = sizes_of(policy)
-        size = sizes["posture_size"]
+        size = policy.posture_size
         joints = require_count("joints", joints, maximum=size)
         joint_lower, joint_upper = require_bounds("joint_lower", joint_lower, "joint_upper", joint_upper, size)
         speed_limits = require_vector("speed_limits", speed_limits, size, minimum=0.0)
         _check_fit(encoder, policy)
+        check_detector(detector, policy)
         _check_gain(policy, lqr(joints, regulator_Q, regulator_R, period)[0])
         scaling = policy.scaling
         centre, half_range = scaling.centre, scaling.half_range
@@ -112,67 +114,70 @@ class SwitchedController(Diagram):
         network = builder.AddNamedSystem("recurrent_policy", RecurrentPolicy(policy, period))
         history = builder.AddNamedSystem(
             "posture_history",
-            PostureHistory(posture_size=size, horizon=sizes["horizon"], period=period, initial_posture=initial),
+            PostureHistory(posture_size=size, horizon=policy.horizon, period=period, initial_posture=initial),
         )
-        mixer = RegulatedMixer(
-            posture_size=size,
-            joints=joints,
-            initial_posture=initial,
-            Q=regulator_Q,
-            R=regulator_R,
-            period=period,
-            lower=scaling.scale(joint_lower),
-            upper=scaling.scale(joint_upper),
-            max_step=speed_limits * period / half_range,
-            settling_ticks=settling_ticks,
-        )
-        law = builder.AddNamedSystem(
-            "switching_law",
-            SwitchingLaw(
-                **sizes,
-                feature_size=policy.feature_size,
-                detector=detector,
-                mixer=mixer,
-                dwell_ticks=dwell_ticks,
+        closer = builder.AddNamedSystem("loop_closer", LoopCloser(posture_size=size, feature_size=policy.feature_size))
+        builder.AddNamedSystem("detector", detector)
+        dwell = builder.AddNamedSystem("dwell_time", DwellTime(history=settling_ticks, dwell_ticks=dwell_ticks))
+        mixer = builder.AddNamedSystem(
+            "regulated_mixer",
+            RegulatedMixer(
+                posture_size=size,
+                joints=joints,
+                initial_posture=initial,
+                Q=regulator_Q,
+                R=regulator_R,
+                period=period,
+                lower=scaling.scale(joint_lower),
+                upper=scaling.scale(joint_upper),
+                max_step=speed_limits * period / half_range,
+                settling_ticks=settling_ticks,
             ),
         )
-        self._detector = detector
-
         # A history of any vector. Its update at tick k still sees the alpha of tick k - 1.
         alpha_history = builder.AddNamedSystem(
             "alpha_history",
             PostureHistory(posture_size=1, horizon=settling_ticks - 1, period=period, initial_posture=np.zeros(1)),
         )
 
+        def wire(source: System, target: System, *names: str) -> None:
+            for name in names:
+                builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
+
         builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
         builder.ExportInput(scale.get_input_port(), "posture")
-        builder.Connect(scale.get_output_port(), law.GetInputPort("posture"))
+        # The update of tick k needs the posture of tick k; the command, the one that was sampled then.
+        builder.Connect(scale.get_output_port(), closer.GetInputPort("posture"))
         builder.Connect(scale.get_output_port(), history.GetInputPort("posture"))
-        builder.Connect(image_encoder.GetOutputPort("features"), law.GetInputPort("features"))
-        builder.Connect(history.GetOutputPort("posture"), law.GetInputPort("sampled_posture"))
-        builder.Connect(history.GetOutputPort("posture_history"), law.GetInputPort("posture_history"))
-        for name in ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state"):
-            builder.Connect(network.GetOutputPort(name), law.GetInputPort(name))
-        builder.Connect(law.GetOutputPort("network_input"), network.GetInputPort("network_input"))
-        builder.Connect(law.GetOutputPort("alpha"), alpha_history.GetInputPort("posture"))
-        builder.Connect(alpha_history.GetOutputPort("posture_history"), law.GetInputPort("last_alphas"))
+        wire(history, mixer, "posture")
+        wire(history, detector, "posture_history")
+        wire(image_encoder, closer, "features")
+        wire(closer, network, "network_input")
+        wire(network, closer, "predicted_posture", "predicted_features")
+        wire(network, detector, "recalled_postures", "hidden_state")
+        wire(network, mixer, "predicted_posture")
+        builder.Connect(detector.GetOutputPort("alpha"), dwell.GetInputPort("detector_alpha"))
+        wire(dwell, closer, "alpha")
+        wire(dwell, mixer, "alpha")
+        builder.Connect(dwell.GetOutputPort("alpha"), alpha_history.GetInputPort("posture"))
+        for system in (dwell, mixer):
+            builder.Connect(alpha_history.GetOutputPort("posture_history"), system.GetInputPort("last_alphas"))
 
-        def export_physical(port, name: str, offset: np.ndarray) -> None:
-            unscale = affine(f"{name}_unscaling", half_range, offset)
-            builder.Connect(port, unscale.get_input_port())
+        for name, offset in (("desired_posture", centre), ("rnn_step", 0.0), ("regulator_step", 0.0)):
+            unscale = affine(f"{name}_unscaling", half_range, offset * np.ones(size))  # a difference has no offset
+            builder.Connect(mixer.GetOutputPort(name), unscale.get_input_port())
             builder.ExportOutput(unscale.get_output_port(), name)
-
-        export_physical(law.GetOutputPort("desired_posture"), "desired_posture", centre)
-        builder.ExportOutput(law.GetOutputPort("alpha"), "alpha")
-        builder.ExportOutput(law.GetOutputPort("errors"), "errors")
-        builder.ExportOutput(network.GetOutputPort("hidden_state"), "hidden_state")
-        builder.ExportOutput(network.GetOutputPort("predicted_features"), "predicted_features")
-        builder.ExportOutput(image_encoder.GetOutputPort("features"), "features")
-        export_physical(law.GetOutputPort("rnn_step"), "rnn_step", np.zeros(size))  # a difference has no offset
-        export_physical(law.GetOutputPort("regulator_step"), "regulator_step", np.zeros(size))
-        builder.ExportOutput(network.GetOutputPort("recalled_postures"), "recalled_postures")
-        builder.ExportOutput(history.GetOutputPort("posture_history"), "posture_history")
+        for system, names in (
+            (dwell, ("alpha",)),
+            (detector, ("errors",)),
+            (network, ("hidden_state", "predicted_features", "recalled_postures")),
+            (history, ("posture_history",)),
+            (image_encoder, ("features",)),
+        ):
+            for name in names:
+                builder.ExportOutput(system.GetOutputPort(name), name)
         builder.BuildInto(self)
+        self._detector = detector
 
     def set_calibration(self, context: Context, reference_errors, beta: float, gamma: float) -> None:
         """Sets the detector's calibration (see CalibratedDetector) in `context`, the root Context; holds at once."""

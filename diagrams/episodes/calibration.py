@@ -39,7 +39,7 @@ def never_fires(criteria: int) -> Calibration:
 
 @dataclass(frozen=True)
 class Controller:
-    """A policy file, a detector of DETECTORS (what it learned lies beside the policy), a calibration instead of the files'."""
+    """A policy file, a detector of DETECTORS (what it learned lies beside it), a calibration instead of the files'."""
 
     policy: Path
     detector: str = "recall"
@@ -47,7 +47,7 @@ class Controller:
 
 
 def policy_name(rnn: str, training_seed: int = 0) -> str:
-    """File name of a trained network: lstm.safetensors is that of training seed 0, lstm-1.safetensors that of seed 1."""
+    """File name of a trained network: lstm.safetensors of training seed 0, lstm-1.safetensors of seed 1."""
     label = NETWORKS.label(rnn)
     return f"{label}-{training_seed}.safetensors" if training_seed else f"{label}.safetensors"
 
@@ -60,8 +60,8 @@ def detector_file(folder: Path, detector: str) -> Path:
 def stored_calibration(detector: str, policy, folder: Path, gamma: float | None = None) -> Calibration:
     """The calibration in the files in `folder`; with a `gamma`, the paper's rule (errors referred to their means).
 
-    `policy`: see models/inference.py. Raises InputError for a policy without, WeightsError for a detector's file that is
-    missing, damaged, or without a calibration for this policy.
+    `policy`: see models/inference.py. Raises InputError for a policy without, WeightsError for a detector's file that
+    is missing, damaged, or without a calibration for this policy.
     """
     from models.files.detectors import calibration_of, load_detector
 
@@ -76,7 +76,7 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
 
 
 def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
-    """Of what the detector's file in `folder` says for that policy; calibrations of others, added later, leave it as it is.
+    """SHA-256 of what the detector's file in `folder` says for that policy; not of calibrations for other policies.
 
     Raises WeightsError for a file that is missing, damaged, or without a calibration for the policy.
     """

@@ -1,4 +1,7 @@
-"""What decides the rows of a run that is resumed: world, code and definitions. Rows of another fingerprint are not mixed."""
+"""What decides the rows of a run that is resumed: world, code and definitions.
+
+Rows of another fingerprint are not mixed.
+"""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class Narrator:
     def see(
         self, seconds: float, posture: np.ndarray, alpha: float, active: bool, taken: bool, cans: np.ndarray
     ) -> None:
-        """One tick: `posture` (8,), `cans` (14,); `active`: the disturbance is under way; `taken`: the can was taken."""
+        """One tick: `posture` (8,), `cans` (14,), whether the arm is disturbed and the can was taken."""
         monitor = self._monitor
         held = bool(monitor.held(cans, posture))
         placed, home = monitor.placed(cans), bool(monitor.home(posture))

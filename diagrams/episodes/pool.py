@@ -1,7 +1,7 @@
 """The one pool: jobs over worker processes of this machine. A cluster has the same face (diagrams/sweeps/cluster.py).
 
-Each worker is a process of its own that runs one job at a time. So a worker that dies takes one job with it, which is run
-again by a fresh worker; a job under which workers die again and again is given up.
+Each worker is a process of its own that runs one job at a time. So a worker that dies takes one job with it, which is
+run again by a fresh worker; a job under which workers die again and again is given up.
 """
 
 from __future__ import annotations
@@ -114,9 +114,10 @@ _thread = threading.local()
 
 
 def kept_in_thread(key: Hashable, make: Callable[[], T], most: int = 1) -> T:
-    """What `make` made in this thread for `key`; made once, kept for the next jobs together with the `most` last of its kind.
+    """What `make` made in this thread for `key`: made once, and kept for the next jobs, the `most` last of a kind.
 
-    The first entry of a `key` that is a tuple is its kind. A thread, not a process: a renderer belongs to the thread that made it.
+    The first entry of a `key` that is a tuple is its kind. A thread, not a process: a renderer belongs to the thread
+    that made it.
     """
     kind = key[0] if isinstance(key, tuple) else key
     kept: dict[Any, Any] = _thread.__dict__.setdefault(f"kept_{kind}", {})

@@ -37,7 +37,6 @@ class Record:
     predicted_features: np.ndarray  # (n, 30) f^R_{k+1}
     active: np.ndarray  # (n,) disturbance under way
     can_poses: np.ndarray  # (n, 14)
-    squared_errors: np.ndarray  # (n, N + 1) l_n, scaled postures
     picture_ticks: np.ndarray  # (p,) ticks of the pictures; none where they were not asked for
     pictures: np.ndarray  # (p, 112, 112, 3) uint8, what the camera saw
     events: list[tuple[float, str]]  # (s, what happened)
@@ -58,7 +57,7 @@ def record_hash(record: Record) -> str:
 
 
 def stretches(record: Record) -> tuple[slice, slice]:
-    """Ticks before the onset (all without one), and from the onset to the end of the disturbance + 5 ticks (none without)."""
+    """Ticks before the onset, and from it to the end of the disturbance + 5 ticks; all and none without a disturbance."""
     active = record.active > 0.5
     onset = int(np.argmax(active)) if active.any() else len(active)
     return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)
@@ -75,7 +74,10 @@ def save_record(path: Path, record: Record, outcome: Outcome) -> None:
 
 
 def load_record(path: Path) -> tuple[Record, dict]:
-    """The record in `path` and its outcome as a dictionary (see Outcome); raises InputError for a file that holds none."""
+    """The record in `path` and its outcome as a dictionary (see Outcome).
+
+    Raises InputError for a file that holds none.
+    """
     if not path.is_file():
         raise InputError(f"there is no record {path}: {_REMEDY}")
     try:
@@ -98,7 +100,10 @@ def load_record(path: Path) -> tuple[Record, dict]:
 
 
 def find_records(paths: list[Path]) -> list[Path]:
-    """The record files among `paths`, folders replaced by the .npz files in them; raises InputError for an empty folder."""
+    """The record files among `paths`, folders replaced by the .npz files in them.
+
+    Raises InputError for an empty folder.
+    """
     found: list[Path] = []
     for path in paths:
         inside = sorted(path.glob("*.npz")) if path.is_dir() else [path]

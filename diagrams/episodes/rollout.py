@@ -25,7 +25,6 @@ from diagrams.world.task import TIME_LIMIT, TaskMonitor, lifted
 from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
-from systems.recall_detector import joint_weights
 from systems.switched_controller import SwitchedController
 
 # Outputs of the controller that are recorded in the middle of each tick, under their own names.
@@ -55,7 +54,6 @@ class Rollout:
         Raises InputError for networks, camera, world and regulator that do not fit together.
         """
         require_trained_for(world, policy)
-        self._weights = joint_weights(policy.posture_size, ARM_JOINTS)
         self.world, self.policy = world, policy
         builder = DiagramBuilder()
         self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None))
@@ -113,7 +111,7 @@ class Rollout:
         return EventStatus.DidNothing()
 
     def prepare(self, episode: Episode, calibration: Calibration | None = None) -> TaskMonitor:
-        """Puts a fresh Context for `episode` into the simulator; `calibration`: instead of the one given at construction."""
+        """Puts a fresh Context for `episode` into the simulator; `calibration` instead of the constructor's."""
         station, given = self.station, episode.disturbance
         self.simulator.reset_context(self.diagram.CreateDefaultContext())
         context = self.simulator.get_mutable_context()
@@ -169,14 +167,12 @@ class Rollout:
                 diverged = not self._advance((k + 0.5) * period)
             if diverged:
                 break  # what came before is kept
-            history = get("posture_history").Eval(controller).reshape(-1, size)
-            recalled = get("recalled_postures").Eval(controller).reshape(-1, size)
-            posture, cans = scaling.unscale(history[0]), self._station_output("can_poses").copy()
+            posture = scaling.unscale(get("posture_history").Eval(controller)[:size])
+            cans = self._station_output("can_poses").copy()
             alpha = float(get("alpha").Eval(controller)[0])
             active = bool(self.disturbance.GetOutputPort("active").Eval(disturbance)[0] > 0.5)
             row = dict(posture=posture, alpha=alpha, active=active, can_poses=cans, features=features)
             row |= {name: get(name).Eval(controller).copy() for name in RECORDED}
-            row["squared_errors"] = np.average((history - recalled) ** 2, axis=1, weights=self._weights)
             row["at_home"] = bool(monitor.home(posture))
             if pictures and k % PICTURE_EVERY == 0:
                 row |= {"picture_ticks": k, "pictures": self._station_output("rgb_image").data[:, :, :3].copy()}

@@ -73,8 +73,8 @@ class EpisodeSampler:
     ) -> Episode:
         """The episode of `seed` under a disturbance of `kind`.
 
-        `can_xy` (m, world) and `vacant` replace what would be sampled, without changing the rest. Raises InputError for a
-        can that the arm cannot reach.
+        `can_xy` (m, world) and `vacant` replace what would be sampled, without changing the rest. Raises InputError for
+        a can that the arm cannot reach.
         """
         scene, experimenter = (np.random.default_rng([seed, stream]) for stream in (0, 1))
         sampled_xy, sampled_vacant = self.unlearned_position(scene), str(scene.choice(SPOTS))
@@ -85,7 +85,10 @@ class EpisodeSampler:
         return Episode(seed, can_xy, vacant, self._disturbance(experimenter, kind, can_xy, vacant), rnn, detector)
 
     def episode(self, scenario: Scenario) -> Episode:
-        """The episode that `scenario` gives, sampled where it leaves something open; raises InputError as `sample` does."""
+        """The episode that `scenario` gives, sampled where it leaves something open.
+
+        Raises InputError as `sample` does.
+        """
         given = scenario.disturbance
         kind = given.kind if given.level is None else "none"
         episode = self.sample(
@@ -116,13 +119,14 @@ class EpisodeSampler:
         if np.any(np.asarray(can_xy) < lower - margin) or np.any(np.asarray(can_xy) > upper + margin):
             raise InputError(
                 f"the can at ({can_xy[0]:.3f}, {can_xy[1]:.3f}) m is out of reach of what was taught: "
-                f"choose x in [{lower[0] - margin:.2f}, {upper[0] + margin:.2f}] and y in [{lower[1] - margin:.2f}, {upper[1] + margin:.2f}]"
+                f"choose x in [{lower[0] - margin:.2f}, {upper[0] + margin:.2f}] and y in [{lower[1] - margin:.2f}, "
+                f"{upper[1] + margin:.2f}]"
             )
         for height in (0.0, HOVER):
             self._hand.solve_ik(np.array([*can_xy, CAN_HALF_HEIGHT + GRASP_ABOVE_CENTRE + height]))
 
     def unlearned_position(self, rng: np.random.Generator) -> tuple[float, float]:
-        """World x, y (m) inside the trained area (the trained positions' convex hull), 1.0 to 2.0 cm from the nearest trained position."""
+        """World x, y (m) in the trained positions' convex hull, 1.0 to 2.0 cm from the nearest of them."""
         lower, upper = self._world.grid.bounds
         trained = self._world.grid.training_positions()
         for _ in range(10_000):
@@ -175,7 +179,7 @@ class EpisodeSampler:
         )
 
     def _deflected(self, rng: np.random.Generator, start: np.ndarray, approach: _Approach) -> np.ndarray:
-        """(7,) rad: 15 to 40 deg off `start` in several joints; sampled again until the paths there and home touch nothing."""
+        """(7,) rad: several joints 15 to 40 deg off `start`; sampled again until the paths there and home are clear."""
         lower, upper = self._hand.lower + LIMIT_MARGIN, self._hand.upper - LIMIT_MARGIN
         touches = self._checker.path_touches
         for _ in range(2000):
@@ -189,14 +193,15 @@ class EpisodeSampler:
             if touches(start, target) is None and touches(target, self._home) is None:
                 return target
         raise InputError(
-            f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found from which the arm comes home "
+            f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found from which the arm comes "
+            "home "
             f"freely, in {approach.where}: give disturbance.target"
         )
 
 
 @dataclass(frozen=True)
 class _Approach:
-    """The demonstrated motion of a subtask: joint angles (n, 7) rad, the distance to the goal (n,) m, and in words where."""
+    """The demonstrated motion of a subtask: joint angles (n, 7) rad, distance to the goal (n,) m, where in words."""
 
     joints: np.ndarray
     distances: np.ndarray

@@ -1,11 +1,11 @@
 """The switching of a run, and the one definition of its success.
 
-Disturbed: alpha < 0.5 at every tick before the onset; alpha >= 0.9 before the end of the disturbance + 5 ticks; from then
-on alpha >= 0.5 until the arm is at its initial posture; alpha <= 0.1 within 6 s after that. Undisturbed: alpha < 0.5
-throughout.
-Beside it, for the comparison with the paper, whose words ask for less: alpha >= 0.9 as above, and the arm at its initial
-posture at some later tick, whoever led it there and whatever alpha was meanwhile, with alpha <= 0.1 within 6 s after that
-tick. Undisturbed: as above.
+Disturbed: alpha < 0.5 at every tick before the onset; alpha >= 0.9 before the end of the disturbance + 5 ticks; from
+then on alpha >= 0.5 until the arm is at its initial posture; alpha <= 0.1 within 6 s after that. Undisturbed: alpha <
+0.5 throughout.
+Beside it, for the comparison with the paper, whose words ask for less: alpha >= 0.9 as above, and the arm at its
+initial posture at some later tick, whoever led it there and whatever alpha was meanwhile, with alpha <= 0.1 within 6 s
+after that tick. Undisturbed: as above.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ DETECTED, RESUMED = 0.9, 0.1  # values of alpha
 DETECTION_TICKS = 5  # after the end of the disturbance
 RESUME_SECONDS = 6.0  # after the arm is at its initial posture
 
-# When a run ends before its time is up: with the task done; or once the switching's success, or the detection's, is decided.
+# When a run ends before its time is up: with the task done; or once the switching's success, or the detection's, is
+# decided.
 Until = Literal["task", "switching", "detection"]
 
 DEFEATS = ("not detected", "not returned", "not resumed")

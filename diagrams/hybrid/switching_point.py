@@ -24,7 +24,7 @@ from diagrams.world.trajectory import subtask_commands
 from models.errors import InputError
 from systems.detector import alpha_of
 from systems.image_encoder import ImageEncoder
-from systems.recall_detector import joint_weights, recall_errors
+from systems.recall_detector import recall_errors
 
 if TYPE_CHECKING:
     from models.files.weights import StoredPolicy
@@ -197,5 +197,5 @@ def _alpha(stored: StoredPolicy, z: np.ndarray, size: int) -> float | None:
     # At rest the prediction is what the regulator pulls against (n = 0).
     pull = stored.regulator_gain * (z[-size:] - stored.scaling.scale(stored.initial_posture))
     offsets = np.vstack((pull, recalled - z[-size:]))
-    errors = recall_errors(offsets, joint_weights(size, ARM_JOINTS), np.array(stored.reference_errors))
+    errors = recall_errors(offsets, ARM_JOINTS, np.array(stored.reference_errors))
     return float(alpha_of(errors, stored.beta, stored.gamma))

@@ -1,1 +1,4 @@
-"""The task and its world: scenario, station, kinematics, collisions, goals, teacher. The only room that knows of cans and shelves."""
+"""The task and its world: scenario, station, kinematics, collisions, goals, teacher.
+
+The only room that knows of cans and shelves.
+"""

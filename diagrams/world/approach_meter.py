@@ -21,10 +21,12 @@ class ApproachMeter(LeafSystem):
         - can_poses
         - approach_distance
 
-    - `body_poses`: RigidTransform X_WB of every body of the plant, by its BodyIndex, m, world: the plant's port of that name.
+    - `body_poses`: RigidTransform X_WB of every body of the plant, by its BodyIndex, m, world: the plant's port of that
+      name.
     - `can_poses` (14): quaternion wxyz and position (m, world) of the can to pick, then of the can on the shelf.
-    - `approach_distance` (1), m: for subtask 1 from the grasp frame to the centre of the can to pick, for subtask 2 from that can to
-      its place on the shelf. Which one is a parameter of the Context (`set_subtask`), as is the place (`set_place`; 3, m, world).
+    - `approach_distance` (1), m: for subtask 1 from the grasp frame to the centre of the can to pick, for subtask 2
+      from that can to its place on the shelf. Which one is a parameter of the Context (`set_subtask`), as is the place
+      (`set_place`; 3, m, world).
     """
 
     def __init__(self, plant: MultibodyPlant):

@@ -20,7 +20,8 @@ class CanMover(LeafSystem):
         name: CanMover
 
     No ports. Parameter of the Context: the place (2,), m, world; NaN where the can stays. Discrete state: (1,) 1 once
-    the can was moved. A system cannot change another's state in an event, so a monitor does, and what it remembers is here.
+    the can was moved. A system cannot change another's state in an event, so a monitor does, and what it remembers is
+    here.
     """
 
     def __init__(self, station: PickPlaceStation, disturbance: Disturbance, period: float):

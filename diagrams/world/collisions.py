@@ -53,7 +53,7 @@ class CollisionChecker:
         return spot_centre(self._plant, name)
 
     def first_touch(self, joints: np.ndarray) -> str | None:
-        """Name of a model that the arm at `joints` (7, rad) touches, with or without the can that it holds; None if clear."""
+        """Name of a model that the arm at `joints` (7, rad), or the can that it holds, touches; None if clear."""
         self._plant.SetPositions(self._plant_context, self._arm, joints)
         moving: tuple[str, ...] = MOVING
         if self._held:
@@ -71,7 +71,7 @@ class CollisionChecker:
         return None
 
     def path_touches(self, start: np.ndarray, goal: np.ndarray) -> str | None:
-        """The first model touched on the straight joint motion from `start` to `goal` (7 each, rad), looked at every degree; None if clear."""
+        """The first model touched on the straight path from `start` to `goal` (7 each, rad); None if clear."""
         samples = max(LEAST_SAMPLES, 1 + int(np.ceil(np.abs(goal - start).max() / SPACING)))
         for share in np.linspace(0.0, 1.0, samples):
             if (name := self.first_touch((1 - share) * start + share * goal)) is not None:

@@ -1,7 +1,7 @@
 """What can be configured of the robot and its world: defaults here, a scenario file or the command line over them.
 
-Units: m, rad, s, N m unless a field's comment says otherwise; positions in the world frame (origin on the desk below the
-arm's axis, x ahead of the arm, y to its left, z up).
+Units: m, rad, s, N m unless a field's comment says otherwise; positions in the world frame (origin on the desk below
+the arm's axis, x ahead of the arm, y to its left, z up).
 """
 
 # No `from __future__ import annotations` here: Drake reads the types of the fields.
@@ -57,7 +57,7 @@ class Grid:
         return np.asarray(self.corner) + self.spacing * np.array([i, j])
 
     def is_training(self, i: int, j: int) -> bool:
-        """The split of the paper, 50 positions each: the checkerboard leaves the smallest holes between trained positions."""
+        """The paper's split, 50 positions each, as a checkerboard: the smallest holes between trained positions."""
         return (i + j) % 2 == 0
 
     def training_positions(self) -> np.ndarray:
@@ -83,7 +83,7 @@ class Regulator:
 
 @dataclass
 class World:
-    """Everything about the robot and its desk that an episode does not draw."""
+    """Everything about the robot and its desk that an episode does not sample."""
 
     timing: Timing = field(default_factory=Timing)
     servo: Servo = field(default_factory=Servo)
@@ -123,13 +123,16 @@ class World:
         off = abs(math.remainder(timing.period, timing.time_step))
         if timing.period < timing.time_step or off > 1e-6 * timing.time_step:
             raise InputError(
-                f"world.timing.period {timing.period} s is no multiple of time_step {timing.time_step} s: change one of them"
+                f"world.timing.period {timing.period} s is no multiple of time_step {timing.time_step} s: change one "
+                "of them"
             )
         if not 0.0 < camera.field_of_view_deg < 180.0:
             raise InputError(
-                f"world.camera.field_of_view_deg {camera.field_of_view_deg} is no angle of view: choose more than 0, less than 180"
+                f"world.camera.field_of_view_deg {camera.field_of_view_deg} is no angle of view: choose more than 0, "
+                "less than 180"
             )
         if not 0.0 <= self.closed_opening < self.opening < math.inf:
             raise InputError(
-                f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: choose 0 <= closed_opening < opening"
+                f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: choose 0 <= "
+                "closed_opening < opening"
             )

@@ -11,7 +11,8 @@ from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import arm_plant
 from models.errors import InputError
 
-# The hand points down, leaning outwards by 5 deg: nearly vertical leaves 9 deg to every joint limit over the whole grid.
+# The hand points down, leaning outwards by 5 deg: nearly vertical leaves 9 deg to every joint limit over the whole
+# grid.
 TILT_DEG = 85.0
 
 
@@ -26,7 +27,8 @@ class HandKinematics:
         self.upper = self._plant.GetPositionUpperLimits()[:ARM_JOINTS]
 
     def solve_ik(self, position: np.ndarray) -> np.ndarray:
-        """(7,) joint angles, rad, with the grasp frame at `position` (3, m, world), fingers level and opening across the arm's direction.
+        """(7,) joint angles, rad, with the grasp frame at `position` (3, m, world), fingers level and opening across
+        the arm's direction.
 
         Raises InputError where no posture within the joint limits reaches.
         """
@@ -44,7 +46,8 @@ class HandKinematics:
         result = Solve(program, self._preferred)
         if not result.is_success():
             raise InputError(
-                f"the hand cannot reach {np.round(position, 3).tolist()} m: choose a place on the desk nearer to the trained area"
+                f"the hand cannot reach {np.round(position, 3).tolist()} m: choose a place on the desk nearer to the "
+                "trained area"
             )
         return result.GetSolution(ik.q())[:ARM_JOINTS]
 

@@ -18,9 +18,9 @@ class Scenario:
 
     rnn: str = "lstm"  # lstm, gru, mtrnn, or package.module:Class
     detector: str = "recall"  # recall, knn, subspace, or package.module:Class
-    seed: int = 0  # draws the can's position, the vacant spot, and the disturbance's moment and posture
-    can: list[float] | None = None  # X Y of the can to pick, m, world; drawn where not given
-    vacant: str | None = None  # left or right; drawn where not given
+    seed: int = 0  # of the can's position, the vacant spot, and the disturbance's moment and posture
+    can: list[float] | None = None  # X Y of the can to pick, m, world; sampled where not given
+    vacant: str | None = None  # left or right; sampled where not given
     disturbance: Disturbance = field(default_factory=lambda: Disturbance(kind="A"))
     world: World = field(default_factory=World)
 
@@ -39,7 +39,7 @@ class Scenario:
 
 
 def load_scenario(path: Path) -> Scenario:
-    """The scenario in the YAML file `path`, over the defaults; raises InputError for a key or a value that does not fit."""
+    """The scenario in the YAML file `path`, over the defaults; raises InputError for what does not fit."""
     from pydrake.common.yaml import yaml_load_typed
 
     if not path.is_file():
@@ -49,19 +49,23 @@ def load_scenario(path: Path) -> Scenario:
     except Exception as error:  # the loader raises many types, each with its own words for what does not fit
         reason = " ".join(str(error).split())
         raise InputError(
-            f"the scenario file {path} does not fit: {reason}; its keys are those of Scenario in diagrams/world/scenario.py"
+            f"the scenario file {path} does not fit: {reason}; its keys are those of Scenario in "
+            "diagrams/world/scenario.py"
         ) from error
 
 
 def load_world(path: Path | None) -> World:
-    """The world of the scenario file `path`, the default one without a file; raises InputError as `load_scenario` does."""
+    """The world of the scenario file `path`, or the default one; raises InputError as `load_scenario` does."""
     world = World() if path is None else load_scenario(path).world
     world.check()
     return world
 
 
 def save_scenario(path: Path, scenario: Scenario, comments: list[str] | None = None) -> None:
-    """Writes what differs from the defaults to the YAML file `path`, below `comments`; `load_scenario` reads the same bits."""
+    """Writes what differs from the defaults to the YAML file `path`, below `comments`.
+
+    `load_scenario` reads the same bits.
+    """
     from pydrake.common.yaml import yaml_dump_typed
 
     text = yaml_dump_typed(scenario, defaults=Scenario())

@@ -40,7 +40,10 @@ FILM = (960, 720, 42.0)  # width, height (pixels) and vertical field of view (de
 
 
 def add_models(plant: MultibodyPlant, names: tuple[str, ...] | None = None) -> None:
-    """Adds the models of sdf/pick_place.dmd.yaml to `plant`; with `names`, only the directives that speak of those models."""
+    """Adds the models of sdf/pick_place.dmd.yaml to `plant`.
+
+    With `names`, only the directives that speak of those models.
+    """
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
     directives = LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml"))
@@ -58,7 +61,10 @@ def _speaks_only_of(directive, names: tuple[str, ...]) -> bool:
 
 
 def arm_plant() -> MultibodyPlant:
-    """The arm with its gripper alone, finalized, continuous: for kinematics and gravity. Positions: 7 joints, left and right finger."""
+    """The arm with its gripper alone, finalized, continuous: for kinematics and gravity.
+
+    Positions: 7 joints, left and right finger.
+    """
     plant = MultibodyPlant(0.0)
     add_models(plant, ("arm", "gripper"))
     plant.Finalize()
@@ -66,7 +72,10 @@ def arm_plant() -> MultibodyPlant:
 
 
 def _require_egl_device() -> None:
-    """Raises RuntimeError where EGL has no device to render on: Drake would notice at the first picture only, and die of it."""
+    """Raises RuntimeError where EGL has no device to render on.
+
+    Drake would notice at the first picture only, and die of it.
+    """
     try:
         egl = ctypes.CDLL("libEGL.so.1")
     except OSError:  # Drake looks under another name too, and raises where there is none
@@ -99,11 +108,13 @@ class PickPlaceStation(Diagram):
         - film_image
 
     - `desired_posture` (8): joint angles, rad, and gap of the fingers, m, that the servo tracks.
-    - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m (the measured one stalls on the can).
+    - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m (the measured one stalls on
+      the can).
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
     - `can_poses` (14): quaternion wxyz and position (m, world) of the can to pick, then of the one on the shelf.
     - `approach_distance` (1): see ApproachMeter. Truth: for scoring and disturbances, never for the controller.
-    - `plant_state` (n): positions, then velocities, of the whole plant in Drake's order; rad, m, rad/s, m/s; free bodies in the world frame.
+    - `plant_state` (n): positions, then velocities, of the whole plant in Drake's order; rad, m, rad/s, m/s; free
+      bodies in the world frame.
     - `contact_results`: Drake's ContactResults of the plant: points in m and forces in N, both in the world frame.
     - `query_object`: Drake's QueryObject of the plant's scene graph, for pictures and for distances (m).
     - `film_image`: RGBA image of a camera for people, `FILM` pixels; with film_camera=True only.
@@ -210,8 +221,9 @@ class PickPlaceStation(Diagram):
         builder.Connect(torque.get_output_port(), self.plant.get_actuation_input_port(self.arm))
 
     def _add_camera(self, builder: DiagramBuilder, film_camera: bool) -> None:
-        # The renderer looks at a second scene graph that follows the plant's positions: it moves its shapes when an image is pulled,
-        # ten times a second; in the plant's own scene graph it would do so at every step of the plant, which takes longer than the physics.
+        # The renderer looks at a second scene graph that follows the plant's positions: it moves its shapes when an
+        # image is pulled, ten times a second; in the plant's own scene graph it would do so at every step of the plant,
+        # which takes longer than the physics.
         self.scene_plant = MultibodyPlant(0.0)
         scene = builder.AddNamedSystem("camera_scene", SceneGraph())
         self.scene_plant.RegisterAsSourceForSceneGraph(scene)
@@ -271,8 +283,8 @@ class PickPlaceStation(Diagram):
         builder.ExportOutput(sensor.color_image_output_port(), port)
 
     def set_scene(self, context: Context, can_xy: np.ndarray, vacant: str, turn: float = 0.0) -> None:
-        """Puts the cans in place: one at `can_xy` (2, m, world) on the desk, turned about its axis by `turn` (rad), the other on the spot
-        that is not `vacant`."""
+        """Puts one can at `can_xy` (2, m, world) on the desk, turned about its axis by `turn` (rad), and the other on
+        the spot that is not `vacant`."""
         plant_context = self.plant.GetMyMutableContextFromRoot(context)
         self.place_can(context, can_xy, turn)
         self.plant.SetFloatingBaseBodyPoseInWorldFrame(
@@ -304,7 +316,7 @@ def spot_centre(plant: MultibodyPlant, name: str) -> np.ndarray:
 
 
 def controller_limits(station: PickPlaceStation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lower and upper limits of the command (8,) and its largest speed (8,), from the model; rad and m, rad/s and m/s."""
+    """Lower and upper limits of the command (8,), rad and m, and its largest speed (8,), per s, from the model."""
     joints = [station.plant.GetJointByName(f"joint_{j + 1}") for j in range(ARM_JOINTS)]
     finger = station.plant.GetJointByName("left_finger_joint")
     lower = [j.position_lower_limit() for j in joints] + [0.0]

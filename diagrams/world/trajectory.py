@@ -22,7 +22,7 @@ RELEASE_GAP = 0.004
 
 @dataclass(frozen=True)
 class Waypoint:
-    """At `tick` of the subtask the hand is at `joints` (7, rad); from then on the fingers are commanded to `opening` (m)."""
+    """At `tick` the hand is at `joints` (7, rad); from then on the fingers are commanded to `opening` (m)."""
 
     tick: int
     joints: np.ndarray
@@ -30,7 +30,7 @@ class Waypoint:
 
 
 def subtask_waypoints(world: World, hand: HandKinematics, centre: np.ndarray, subtask: int) -> list[Waypoint]:
-    """Waypoints of subtask 1 (grasp the can whose centre is at `centre`) or 2 (put the held can there); `centre` (3, m, world)."""
+    """Waypoints of subtask 1 (grasp the can at `centre`, 3, m, world) or 2 (put the held can there)."""
     home = world.initial_posture[:ARM_JOINTS]
     grasp = np.asarray(centre) + [0, 0, GRASP_ABOVE_CENTRE]
     open_, closed = world.opening, world.closed_opening
@@ -88,10 +88,10 @@ def subtask_commands(world: World, hand: HandKinematics, centre: np.ndarray, sub
 
 
 def deviations(waypoints: list[Waypoint], steps: int, rng: np.random.Generator) -> np.ndarray:
-    """(steps, 8) what the arm is pushed off the commanded posture while it is taught (DART, Laskey et al. 2017), rad; fingers 0.
+    """(steps, 8) rad: how far the arm is kept off the commanded posture (DART, Laskey et al. 2017); fingers 0.
 
-    Smooth and bounded: free on the path, small while dwelling at home, none where the fingers are near a can. The actions recorded stay those
-    without it, so that pictures off the path come with the motion back to it.
+    Smooth and bounded: free on the path, small while dwelling at home, none where the fingers are near a can. The
+    actions recorded stay those without it, so that pictures off the path come with the motion back to it.
     """
     home = waypoints[0].joints
     hover = [w.tick for w in waypoints if not np.array_equal(w.joints, home)]

@@ -16,8 +16,8 @@ class MtrnnLoop(torch.autograd.Function):
     """x (T, B, n), closed (T, B, 1), u (B, S), 1/tau (S,) and the MTRNN's parameters to y (T, B, m), states (T, B, S).
 
     Both layers at once: u <- (1 - 1/tau) u + (1/tau)(W [x, tanh u] + b), with W = 0 from x to the slow layer, which
-    comes last. Parameters, each with its bias: to_fast (F, n + S), to_slow (S - F, S), output (m, F). No gradients to x,
-    u and 1/tau: they are data.
+    comes last. Parameters, each with its bias: to_fast (F, n + S), to_slow (S - F, S), output (m, F). No gradients to
+    x, u and 1/tau: they are data.
     """
 
     @staticmethod

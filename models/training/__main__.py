@@ -19,7 +19,9 @@ def parse(arguments: list[str] | None = None) -> Any:
     from models.training.rnn import RnnOptions
 
     commands: dict[str, Any] = {"cae": CaeOptions, "rnn": RnnOptions, "recall": RecallOptions, "probe": ProbeOptions}
-    return tyro.extras.subcommand_cli_from_dict(commands, args=arguments, description=__doc__)
+    return tyro.extras.subcommand_cli_from_dict(
+        commands, prog="python -m models.training", args=arguments, description=__doc__
+    )
 
 
 def main(options: Any) -> int:

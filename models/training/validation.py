@@ -27,9 +27,9 @@ def validate(rnn: RecurrentNetwork, pack: SequencePack, initial: Tensor, gain: f
     Returns:
         open: error of the command, inputs from the data; feature: of the features.
         auto: error of the command on own predictions from tick 40 to the end; rest: the same in 10 ticks after the end.
-        start: share of the demonstrated way (5th percentile) gone after 10 ticks, from rest with a picture that stands
+        start: share of the demonstrated path (5th percentile) gone after 10 ticks, from rest with a picture that stands
             still, the worse of c_0 and the final states of other sequences: near 0 is a network that stalls.
-        follow: distance to the demonstrated way, and done: share of sequences brought to their end, in a rollout in
+        follow: distance to the demonstrated path, and done: share of sequences brought to their end, in a rollout in
             which the arm goes where commanded and the picture is the demonstration's that fits the posture best.
     """
     batch = make_batch(pack, initial, joints, None, torch.Generator())

@@ -1,4 +1,7 @@
-"""Fixtures: the whole closed loop on networks of the real size that learned nothing; one thread, as everywhere at batch 1."""
+"""Fixtures: the whole closed loop on networks of the real size that learned nothing.
+
+One thread, as everywhere at batch 1.
+"""
 
 import pytest
 import torch

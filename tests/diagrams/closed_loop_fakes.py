@@ -1,7 +1,8 @@
-"""Stand-ins for the trained networks that know the teacher's motion by heart, so that the closed loop runs without weights.
+"""Stand-ins for the trained networks that know the teacher's motion by heart: the closed loop without weights.
 
-They obey the same equations as the trained ones: all memory is in the hidden state, the prediction is the residual of the
-LQR, the recall tells where the arm should have been, and under alpha = 1 the network goes on in its own imagination.
+They obey the same equations as the trained ones: all memory is in the hidden state, the prediction is the residual of
+the LQR, the recall tells where the arm should have been, and under alpha = 1 the network goes on in its own
+imagination.
 """
 
 import numpy as np
@@ -16,7 +17,8 @@ from models.data.scaling import MinMaxScaling
 
 WAITING, PICKING, PLACING, PICKING_AGAIN = range(4)
 SETTLING = 8  # ticks after a recovery in which SwitchedController does not listen to the network
-# Where the can stands on the mat, seen from the camera; in the hand and on the shelf it is elsewhere. Columns and rows, pixels.
+# Where the can stands on the mat, seen from the camera; in the hand and on the shelf it is elsewhere. Columns and rows,
+# pixels.
 MAT_COLUMNS, MAT_ROWS = slice(0, 56), slice(58, 112)
 
 

@@ -27,8 +27,8 @@ from models.errors import InputError
 from models.files.baselines import StoredDetector, load_detector, save_detector
 from models.files.weights import WeightsError
 from models.inference import Policy
-from systems.detector import RecallDetector
 from systems.knn_detector import KnnDetector
+from systems.recall_detector import RecallDetector
 from systems.subspace_detector import SubspaceDetector
 from tests.diagrams.test_calibrate import OUTCOME
 from tests.diagrams.untrained import save_untrained
@@ -184,10 +184,10 @@ def test_nothing_is_tuned_on_evaluation_episodes(fitted):
 def test_detectors_by_name(folder, fitted):
     policy = Policy(folder / "lstm.safetensors")
     for name, cls in (("knn", KnnDetector), ("subspace", SubspaceDetector)):
-        detector = make_detector(name, policy, folder)
+        detector, _ = make_detector(name, policy, folder)
         assert isinstance(detector, cls)
         assert detector.GetOutputPort("errors").size() == 7
-    assert isinstance(make_detector("recall", policy, folder), RecallDetector)
+    assert isinstance(make_detector("recall", policy, folder)[0], RecallDetector)
     with pytest.raises(InputError, match="no detector 'svm'"):
         make_detector("svm", policy, folder)
 
@@ -203,7 +203,7 @@ def test_baseline_runs_in_the_loop_and_sees_what_the_calibration_sees(folder, fi
     assert (outcome.detector, outcome.switched) == (detector, False)
     _, trace = digest_trace(job, outcome, record)
     policy = Policy(controller.policy)
-    anomaly = make_detector(detector, policy, folder, ones).anomaly
+    anomaly = make_detector(detector, policy, folder, ones)[0].anomaly
     afterwards = anomaly(past_windows(trace.angles, policy.initial_posture[:7])).T
     assert record.errors.shape == (20, 7)
     assert record.errors == pytest.approx(afterwards, rel=1e-6, abs=1e-9)
@@ -217,10 +217,10 @@ def test_what_is_missing_is_said(folder, tmp_path, fitted, monkeypatch):
     with pytest.raises(WeightsError, match="no calibration for the policy"):
         make_detector("knn", policy, tmp_path)
 
-    def absent(**arguments):
+    def absent(*arguments):
         raise ModuleNotFoundError("No module named 'sklearn'", name="sklearn")
 
-    monkeypatch.setattr("systems.knn_detector.KnnDetector", absent)
+    monkeypatch.setattr("systems.knn_detector.KnnDetector.build", absent)
     with pytest.raises(InputError, match=r"knn needs sklearn: pip install"):
         make_detector("knn", policy, folder)
 
@@ -250,4 +250,4 @@ def test_names():
     assert parse(["--detector", "knn"]).detector == "knn"
     with pytest.raises(InputError, match="no detector 'svm'"):
         parse(["--detector", "svm"])
-    assert controllers.DETECTORS == ("recall", "knn", "subspace")
+    assert list(controllers.DETECTORS) == ["recall", "knn", "subspace"]

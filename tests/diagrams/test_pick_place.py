@@ -1,4 +1,7 @@
-"""The program as a user starts it: exit codes, one clear line for bad input, options over YAML, what it leaves behind."""
+"""The program as a user starts it.
+
+Exit codes, one clear line for bad input, options over YAML, what it leaves behind.
+"""
 
 import json
 import os

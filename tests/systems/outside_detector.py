@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.systems.framework import LeafSystem
 
-from systems.detector import CalibratedDetector, sizes_of
+from systems.detector import CalibratedDetector
 
 
 class FarFromHome(CalibratedDetector, LeafSystem):
@@ -14,7 +14,7 @@ class FarFromHome(CalibratedDetector, LeafSystem):
     def __init__(self, policy, largest=1.0):
         LeafSystem.__init__(self)
         self._largest = largest
-        self.declare_ports(sizes_of(policy), criteria=1, reads=("posture_history",))
+        self.declare_ports(policy, criteria=1, reads=("posture_history",))
 
     @staticmethod
     def fit(runs):

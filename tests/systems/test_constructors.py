@@ -25,7 +25,7 @@ encoder = build(ImageEncoder, dict(encoder=FakeEncoder()))
 history = build(PostureHistory, dict(posture_size=4, horizon=2, period=0.1, initial_posture=ONES))
 closer = build(LoopCloser, dict(posture_size=4, feature_size=4))
 dwell = build(DwellTime, dict(history=4, dwell_ticks=3))
-detector = build(RecallDetector, dict(posture_size=4, horizon=2, state_size=12, joints=3))
+detector = build(RecallDetector, dict(policy=FakePolicy(), joints=3))
 regulator = build(
     make_posture_regulator, dict(posture_size=4, joints=3, initial_posture=ONES, Q=1.0, R=90.0, period=0.1)
 )
@@ -62,7 +62,7 @@ CASES = [
     (closer, dict(feature_size=1.5), "feature_size is 1.5.*whole number"),
     (dwell, dict(dwell_ticks=4), "dwell_ticks is 4.*at most 3"),
     (detector, dict(joints=5), "joints is 5.*at least 1 and at most 4"),
-    (detector, dict(horizon=0), "horizon is 0.*at least 1"),
+    (detector, dict(policy=FakePolicy(horizon=0)), "horizon is 0.*at least 1"),
     (regulator, dict(joints=5), "joints is 5.*at most 4"),
     (regulator, dict(Q=0.0), "Q is 0.0.*greater than 0"),
     (regulator, dict(R=np.diag([1.0, 1.0, -1.0])), "R has the eigenvalue -1.*positive definite"),

@@ -27,14 +27,9 @@ CLOSER_INPUTS = ("posture", "features", "predicted_posture", "predicted_features
 MIXER_INPUTS = ("posture", "predicted_posture", "regulator_step", "alpha", "last_alphas")
 
 
-def law():
-    return make_controller().GetSubsystemByName("switching_law")
-
-
 LIMITS = dict(posture_size=M, joints=3, lower=-np.ones(M), upper=np.ones(M), max_step=np.ones(M))
 WINDOW_FEEDTHROUGH = {("posture_history", o) for o in ("errors", "alpha")}
 DETECTOR_FEEDTHROUGH = {(i, o) for i in ("posture_history", "recalled_postures") for o in ("errors", "alpha")}
-COMMAND_INPUTS = ("sampled_posture", "predicted_posture", "posture_history", "recalled_postures", "last_alphas")
 CASES = {
     "ImageEncoder": (lambda: ImageEncoder(FakeEncoder()), {("rgb_image", "features")}),
     "RecurrentPolicy": (lambda: RecurrentPolicy(FakePolicy(), PERIOD), set()),
@@ -68,15 +63,6 @@ CASES = {
     "Disturbance": (
         lambda: Disturbance(posture_size=M),
         {("desired_posture", "disturbed_posture")},
-    ),
-    "SwitchingLaw": (
-        law,
-        DETECTOR_FEEDTHROUGH
-        | {(i, "desired_posture") for i in COMMAND_INPUTS}
-        | {("sampled_posture", o) for o in ("rnn_step", "regulator_step")}
-        | {("predicted_posture", "rnn_step")}
-        | {(i, "network_input") for i in (*CLOSER_INPUTS[:-1], "posture_history", "recalled_postures")}
-        | {("last_alphas", o) for o in ("alpha", "network_input")},
     ),
     "SwitchedController": (make_controller, {("rgb_image", "features")}),
 }
@@ -131,29 +117,30 @@ def test_clone_of_the_context_replays_to_the_same_bits(name):
     assert_clone_replays(system, [random_inputs(system, rng) for _ in range(12)], PERIOD)
 
 
-def test_controller_names_and_topology():
+def test_topology_of_the_controller():
     controller = make_controller()
-    names = {system.get_name() for system in controller.GetSystems()}
-    assert {"image_encoder", "posture_scaling", "recurrent_policy", "posture_history", "switching_law"} <= names
-    law_names = {system.get_name() for system in controller.GetSubsystemByName("switching_law").GetSystems()}
-    assert law_names == {"loop_closer", "detector", "dwell_time", "regulated_mixer"}
     wires = {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
         f"{target.get_name()}.{target.get_input_port(into).get_name()}"
         for (target, into), (source, out) in controller.connection_map().items()
     }
     assert wires >= {
-        "switching_law.network_input -> recurrent_policy.network_input",
-        "recurrent_policy.recalled_postures -> switching_law.recalled_postures",
-        "recurrent_policy.hidden_state -> switching_law.hidden_state",
-        "recurrent_policy.predicted_posture -> switching_law.predicted_posture",
-        "recurrent_policy.predicted_features -> switching_law.predicted_features",
-        "posture_history.posture -> switching_law.sampled_posture",
-        "posture_history.posture_history -> switching_law.posture_history",
-        "image_encoder.features -> switching_law.features",
-        "switching_law.alpha -> alpha_history.posture",
-        "alpha_history.posture_history -> switching_law.last_alphas",
-        "posture_scaling.y0 -> switching_law.posture",  # not the sampled one: the update needs this tick's
+        "loop_closer.network_input -> recurrent_policy.network_input",
+        "recurrent_policy.recalled_postures -> detector.recalled_postures",
+        "recurrent_policy.hidden_state -> detector.hidden_state",
+        "recurrent_policy.predicted_posture -> regulated_mixer.predicted_posture",
+        "recurrent_policy.predicted_posture -> loop_closer.predicted_posture",
+        "recurrent_policy.predicted_features -> loop_closer.predicted_features",
+        "posture_history.posture -> regulated_mixer.posture",
+        "posture_history.posture_history -> detector.posture_history",
+        "image_encoder.features -> loop_closer.features",
+        "detector.alpha -> dwell_time.detector_alpha",
+        "dwell_time.alpha -> loop_closer.alpha",
+        "dwell_time.alpha -> regulated_mixer.alpha",
+        "dwell_time.alpha -> alpha_history.posture",
+        "alpha_history.posture_history -> regulated_mixer.last_alphas",
+        "alpha_history.posture_history -> dwell_time.last_alphas",
+        "posture_scaling.y0 -> loop_closer.posture",  # not the sampled one: the update needs this tick's
         "posture_scaling.y0 -> posture_history.posture",
     }
 

@@ -1,5 +1,7 @@
 """What detectors share: the calibration in the Context, and what is refused."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,14 +12,14 @@ from tests.systems.controller_fakes import FakePolicy, image, make_controller
 from tests.systems.outside_detector import FarFromHome
 from tests.systems.system_checks import fix
 
-SIZES = dict(posture_size=2, horizon=1, state_size=3)
+SIZES = SimpleNamespace(posture_size=2, horizon=1, state_size=3)
 INPUTS = dict(
     posture_history=[0.1, 0.3, 0.5, 0.7], recalled_postures=[0.0, 0.0, 0.5, 0.5], hidden_state=[0.0, 0.0, 0.0]
 )
 
 
 def test_a_calibration_holds_at_once_and_in_clones():
-    system = RecallDetector(**SIZES, joints=2)
+    system = RecallDetector(SIZES, joints=2)
     context = system.CreateDefaultContext()
     fix(system, context, INPUTS)
     alpha = system.GetOutputPort("alpha")
@@ -54,7 +56,7 @@ def test_one_controller_serves_every_calibration():
     ],
 )
 def test_a_bad_calibration_is_refused_and_changes_nothing(calibration, message):
-    system = RecallDetector(**SIZES, joints=2)
+    system = RecallDetector(SIZES, joints=2)
     context = system.CreateDefaultContext()
     fix(system, context, INPUTS)
     with pytest.raises(ValueError, match=f"(?s){message}"):
@@ -63,12 +65,12 @@ def test_a_bad_calibration_is_refused_and_changes_nothing(calibration, message):
 
 
 def test_a_system_that_is_no_detector_is_refused():
-    detector = RecallDetector(**SIZES, joints=2)
-    check_detector(detector, **SIZES)
-    with pytest.raises(ValueError, match="`posture_history` has size 4, the policy asks for 6"):
-        check_detector(detector, **(SIZES | dict(horizon=2)))
-    with pytest.raises(ValueError, match=r"LoopCloser.* no input port `posture_history`"):
-        check_detector(LoopCloser(posture_size=2, feature_size=2), **SIZES)
+    detector = RecallDetector(SIZES, joints=2)
+    check_detector(detector, SIZES)
+    with pytest.raises(ValueError, match=r"`posture_history` of .* has size 4, the policy asks for 6"):
+        check_detector(detector, SimpleNamespace(posture_size=2, horizon=2, state_size=3))
+    with pytest.raises(ValueError, match=r"LoopCloser.* no port `posture_history`"):
+        check_detector(LoopCloser(posture_size=2, feature_size=2), SIZES)
 
     class Fixed(FarFromHome):
         set_calibration = property()

@@ -1,5 +1,7 @@
 """RecallDetector: hand-worked numbers, the formula bit by bit, alpha in [0, 1] for any errors, conversion."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +16,8 @@ INPUTS = dict(
     posture_history=[0.1, 0.3, 0.5, 0.7], recalled_postures=[0.0, 0.0, 0.5, 0.5], hidden_state=[0.0, 0.0, 0.0]
 )
 REFERENCES = [0.1, 0.01]
-SYSTEM = RecallDetector(posture_size=2, horizon=1, state_size=3, joints=2)
+SIZES = SimpleNamespace(posture_size=2, horizon=1, state_size=3)
+SYSTEM = RecallDetector(SIZES, joints=2)
 
 
 def test_by_hand():
@@ -32,14 +35,14 @@ def test_without_a_calibration_errors_are_squared_errors_and_nothing_fires():
 
 
 def test_the_fingers_are_not_judged():
-    system = RecallDetector(posture_size=2, horizon=1, state_size=3, joints=1)
+    system = RecallDetector(SIZES, joints=1)
     assert evaluate(system, "errors", INPUTS, (REFERENCES, 1.0, 1.0)) == pytest.approx([0.1, 0.0])
 
 
 def test_bits_are_those_of_the_formula():
     """The order of the operations decides the last bits, and with them every run that was ever recorded."""
     rng = np.random.default_rng(0)
-    system = RecallDetector(posture_size=8, horizon=10, state_size=1, joints=7)
+    system = RecallDetector(SimpleNamespace(posture_size=8, horizon=10, state_size=1), joints=7)
     weights = np.append(np.ones(7), 0.0)
     for _ in range(20):
         history, recalled = rng.uniform(-1, 1, (2, 88))

@@ -7,7 +7,7 @@ from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import PassThrough
 
 from systems import alpha_mixer
-from systems.detector import declare_detector_inputs, sizes_of
+from systems.detector import declare_detector_inputs
 from tests.systems.controller_fakes import PERIOD, ClosedLoop, FakeEncoder, FakePolicy, TickArm, make_controller
 from tests.systems.system_checks import snapshot
 
@@ -129,9 +129,9 @@ def test_thirty_ticks_are_those_of_the_equations(joints, settling_ticks, dwell_t
 class Scheduled(LeafSystem):
     """A detector with alpha = 1 in the ticks before `until`, then 0."""
 
-    def __init__(self, until, **sizes):
+    def __init__(self, until, policy):
         super().__init__()
-        declare_detector_inputs(self, **sizes)
+        declare_detector_inputs(self, policy)
         self.set_calibration = lambda *_: None  # it has none
         self._until = until
         self.DeclareDiscreteState([0.0])  # the number of the next tick
@@ -149,7 +149,7 @@ class Scheduled(LeafSystem):
 def test_what_was_imagined_is_no_command():
     """As alpha falls, the predictions still come from imagination: they must not open the fingers."""
     policy = FakePolicy(drift=0.02)
-    detector = Scheduled(20, **sizes_of(policy))
+    detector = Scheduled(20, policy)
     loop, *_ = closed_loop(policy, detector=detector, settling_ticks=3, dwell_ticks=1)
     start = policy.initial_posture
     half_range = (policy.scaling.upper - policy.scaling.lower) / 2.0

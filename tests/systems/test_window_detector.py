@@ -1,4 +1,4 @@
-"""KnnDetector and SubspaceDetector: hand-worked numbers, brute force by scikit-learn, and what the constructors refuse."""
+"""KnnDetector and SubspaceDetector: hand-worked numbers, brute force by scikit-learn, what is refused."""
 
 from types import SimpleNamespace
 
@@ -13,9 +13,10 @@ from systems.knn_detector import KnnDetector
 from systems.subspace_detector import SubspaceDetector
 from tests.systems.system_checks import evaluate
 
-SIZES = dict(posture_size=3, horizon=3, state_size=2)
 # Scaled 0 is (1, 10, 0) rad, a scaled unit (1, 2, 1) rad.
-POLICY = SimpleNamespace(**SIZES, scaling=MinMaxScaling([0.0, 8.0, -1.0], [2.0, 12.0, 1.0]))
+POLICY = SimpleNamespace(
+    posture_size=3, horizon=3, state_size=2, scaling=MinMaxScaling([0.0, 8.0, -1.0], [2.0, 12.0, 1.0])
+)
 # Rows newest first; the window of 3 samples leaves the fourth out, the two joints the third component.
 HISTORY = np.array([[0.3, 0.0, 9.0], [0.2, 0.5, 9.0], [0.1, 0.0, 9.0], [7.0, 7.0, 9.0]])
 INPUTS = dict(posture_history=HISTORY.ravel(), recalled_postures=np.full(12, 5.0), hidden_state=np.zeros(2))
@@ -97,7 +98,7 @@ def test_extreme_errors_are_safe(build, size, expected):
 
 @pytest.mark.parametrize("build", [knn, subspace])
 def test_they_fit_a_controller(build):
-    check_detector(build(), **SIZES)
+    check_detector(build(), POLICY)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +107,7 @@ def test_they_fit_a_controller(build):
         (knn, np.zeros((2, 0, 3)), r"windows has shape \(2, 0, 3\).*fit again"),
         (knn, np.full((2, 4, 3), np.nan), "finite"),
         (knn, np.zeros((4, 1, 3)), "joints is 4.*at most 3"),
-        (knn, np.zeros((2, 1, 5)), "window is 5.*4 samples only"),
+        (knn, np.zeros((2, 1, 5)), "window is 5.*at most 4"),
         (subspace, np.ones((2, 3, 2)), "not orthonormal"),
         (subspace, np.ones(3), r"axes has shape \(3,\)"),
     ],

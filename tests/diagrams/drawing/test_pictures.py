@@ -13,7 +13,7 @@ from models.errors import InputError
 PNG = b"\x89PNG\r\n\x1a\n"
 SYSTEMS = (
     "switched_controller", "station", "disturbance", "image_encoder", "recurrent_policy", "posture_history",
-    "switching_law", "plant", "approach_meter",
+    "loop_closer", "detector", "dwell_time", "regulated_mixer", "plant", "approach_meter",
 )  # fmt: skip
 
 

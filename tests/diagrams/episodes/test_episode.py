@@ -82,7 +82,10 @@ def test_switching_in_the_words_of_the_paper(changes, success):
 @settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_what_is_decided_stays_so(data):
-    """Runs cut short at every tick: once decided, the failure is that of the whole run; and it is decided as early as can be told."""
+    """Runs cut short at every tick: once decided, the failure is that of the whole run.
+
+    And it is decided as early as can be told.
+    """
     ticks = data.draw(st.integers(20, 110))
     onset = data.draw(st.integers(0, 15))
     end = onset + data.draw(st.integers(1, 10))

@@ -72,7 +72,8 @@ def test_what_is_kept_is_made_once_and_the_oldest_goes():
 def test_workers_end_with_a_killed_parent(tmp_path):
     code = (
         "from diagrams.episodes.pool import Pool\nfrom tests.diagrams.episodes import pool_jobs\n"
-        f"if __name__ == '__main__':\n    list(Pool(2).run(pool_jobs.write_pid_and_sleep, [{str(tmp_path / 'a')!r}, {str(tmp_path / 'b')!r}]))"
+        f"if __name__ == '__main__':\n    list(Pool(2).run(pool_jobs.write_pid_and_sleep, [{str(tmp_path / 'a')!r}, "
+        f"{str(tmp_path / 'b')!r}]))"
     )
     script = tmp_path / "parent.py"
     script.write_text(code)

@@ -91,7 +91,7 @@ def test_records_have_a_row_a_tick(undisturbed, policy):
     record, n = undisturbed.record, len(undisturbed.record.time)
     shapes = {
         "posture": (8,), "rnn_step": (8,), "regulator_step": (8,), "desired_posture": (8,), "alpha": (), "active": (),
-        "errors": (11,), "squared_errors": (11,), "hidden_state": (policy.state_size,), "can_poses": (14,),
+        "errors": (11,), "hidden_state": (policy.state_size,), "can_poses": (14,),
         "features": (policy.feature_size,), "predicted_features": (policy.feature_size,), "time": (),
     }  # fmt: skip
     assert {f.name for f in fields(Record)} == {*shapes, "picture_ticks", "pictures", "events"}

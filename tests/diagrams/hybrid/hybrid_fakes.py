@@ -29,7 +29,7 @@ def make_record(alpha):
         regulator_step=np.zeros((n, 8)), desired_posture=np.zeros((n, 8)), alpha=np.array(alpha, float),
         errors=np.ones((n, 11)), hidden_state=np.full((n, 4), 0.5), features=np.zeros((n, 3)),
         predicted_features=np.zeros((n, 3)), active=np.zeros(n, bool), can_poses=np.zeros((n, 14)),
-        squared_errors=np.zeros((n, 11)), picture_ticks=np.zeros(0, int), pictures=np.zeros((0, 112, 112, 3), np.uint8),
+        picture_ticks=np.zeros(0, int), pictures=np.zeros((0, 112, 112, 3), np.uint8),
         events=[(0.1, "something")],
     )  # fmt: skip
 

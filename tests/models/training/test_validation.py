@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+import torch
+
+from models.data.sequences import SequencePack
+from models.networks.rnn import RecurrentNetwork
+from models.training.validation import validate
+from tests.models.conftest import make_policy
+from tests.models.data.test_sequences import random_pack
+
+
+def rms(squares: list[np.ndarray]) -> float:
+    return float(np.sqrt(np.concatenate([part.mean(axis=1) for part in squares]).mean()))
+
+
+def test_figures_of_a_network_that_always_predicts_zero() -> None:
+    """Its command is -K (m - m_init) in the joints: every figure can be worked out from the data alone."""
+    rnn, pack, gain = make_policy("gru").rnn, random_pack(), 0.1
+    torch.nn.init.zeros_(rnn.output.weight)
+    torch.nn.init.zeros_(rnn.output.bias)
+    found = validate(rnn, pack, torch.full((8,), 0.2), gain, 7)
+    lengths = pack.length.tolist()
+    m, target = pack.posture[..., :7].double().numpy(), pack.posture_target[..., :7].double().numpy()
+    errors = (target + gain * (m - 0.2)) ** 2
+    features = pack.feature_target.double().numpy() ** 2
+    ends = [(errors[i], features[i], n) for i, n in enumerate(lengths)]
+    assert found["open"] == pytest.approx(rms([e[:n] for e, _, n in ends]), rel=1e-5)
+    assert found["feature"] == pytest.approx(rms([f[:n] for _, f, n in ends]), rel=1e-5)
+    assert found["auto"] == pytest.approx(rms([e[40:n] for e, _, n in ends]), rel=1e-5)
+    assert found["rest"] == pytest.approx(rms([e[n : n + 10] for e, _, n in ends]), rel=1e-5)
+    posture = m[:, 0]
+    for _ in range(10):
+        posture = -gain * (posture - 0.2)
+    wanted, gone = m[:, 10] - m[:, 0], posture - m[:, 0]
+    share = (wanted * gone).sum(1) / (wanted**2).sum(1)
+    assert found["start"] == pytest.approx(np.quantile(share, 0.05), rel=1e-4)
+
+
+class Mover(RecurrentNetwork):
+    """Commands every component `speed` further than it is, and recalls nothing."""
+
+    name = "mover"
+
+    def __init__(self, speed: float) -> None:
+        super().__init__(8, 30, 1, 1)
+        self.speed = speed
+
+    def step(self, x: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return x + self.speed, state
+
+
+@pytest.mark.parametrize(
+    ("speed", "done", "start", "follow"),
+    [(0.01, 1.0, 1.0, 0.0), (0.0, 0.0, 0.0, 0.0), (0.005, 0.0, 0.5, 0.005 / 2**0.5)],  # every other tick between two
+)
+def test_rollout_follows_a_ramp_as_fast_as_the_network_commands(
+    speed: float, done: float, start: float, follow: float
+) -> None:
+    ramp = 0.01 * torch.arange(61.0)[None, :, None].expand(3, 61, 8)
+    feature = torch.zeros(3, 60, 30)
+    pack = SequencePack(ramp[:, :-1], feature, ramp[:, 1:], feature, torch.full((3,), 60), torch.zeros(3))
+    found = validate(Mover(speed), pack, torch.zeros(8), 0.0, 7)
+    assert found["done"] == done
+    assert found["start"] == pytest.approx(start, abs=1e-5)
+    assert found["follow"] == pytest.approx(follow, abs=1e-5)
+    assert found["open"] == pytest.approx(0.01 - speed, abs=1e-6)
