@@ -50,14 +50,8 @@ def run(arguments: Falsify) -> int:
     gamma, sampler = float(policy.gamma), EpisodeSampler(world)
     seeds = episode_seeds("validation", arguments.seed, arguments.scenes)
     scenes = [sampler.sample(seed, "none", rnn=policy.name) for seed in seeds]
-    identity = fingerprint(
-        world,
-        "diagrams/hybrid",
-        seed=arguments.seed,
-        scenes=arguments.scenes,
-        weights=policy.hash,
-        encoder=encoder.hash,
-    )
+    chosen = {"seed": arguments.seed, "scenes": arguments.scenes, "weights": policy.hash, "encoder": encoder.hash}
+    identity = fingerprint(world, "diagrams/hybrid", **chosen)
     with RowStore(arguments.out / "falsify_trials.jsonl", identity) as store, Pool(arguments.workers) as pool:
 
         def simulate(episodes: Sequence[Episode]) -> list[tuple[Outcome, Record]]:
@@ -93,13 +87,10 @@ def run(arguments: Falsify) -> int:
         files = [arguments.out / case["file"] for case in cases.values()]
         again = simulate([sampler.episode(load_scenario(file)) for file in files])
     replayed = {
-        name: {
-            "file": case["file"],
-            "same_failure": outcome.switch_failure == case["failure"],
-            "same_bits": record_hash(record) == case["record_hash"],
-        }
+        name: {"file": case["file"], "same_failure": outcome.switch_failure == case["failure"],
+               "same_bits": record_hash(record) == case["record_hash"]}
         for (name, case), (outcome, record) in zip(cases.items(), again, strict=True)
-    }
+    }  # fmt: skip
     undisturbed = [outcome.success for outcome, _ in nominal]
     arguments.write("falsify", result | {"undisturbed_success": undisturbed, "replayed": replayed})
     save_search(result["all_trials"], arguments.out / "falsify.png")
@@ -137,27 +128,8 @@ def _comments(arguments: Falsify, file: str, trial: Trial, weights_hash: str) ->
 
 def report(found: dict[str, list[Trial]], scenes: list[Episode]) -> dict:
     """Plain types: the counterexamples, smallest first; what each sampler reached; all trials."""
-    all_trials = {name: [_plain(trial) for trial in trials] for name, trials in found.items()}
-    counterexamples = [
-        {
-            "file": file_name(name, n),
-            "sampler": name,
-            "trial": n + 1,
-            "failure": trial.failure,
-            "size_deg": trial.moved_deg,
-            "form": trial.perturbation.form,
-            "length_ticks": trial.perturbation.ticks,
-            "magnitude": trial.perturbation.magnitude,
-            "scene": scenes[trial.perturbation.scene].seed,
-            "subtask": trial.perturbation.disturbance.subtask,
-            "level_m": trial.perturbation.disturbance.level,
-            "record_hash": trial.record_hash,
-        }
-        for name, trials in found.items()
-        for n, trial in enumerate(trials)
-        if trial.failure is not None
-    ]
-    counterexamples.sort(key=lambda c: (c["magnitude"], c["file"]))
+    all_trials = {name: [_plain(name, n, t, scenes) for n, t in enumerate(trials)] for name, trials in found.items()}
+    counterexamples = [case for cases in all_trials.values() for case in cases if case["failure"] is not None]
 
     def of_each(measure) -> dict:
         return {name: measure(trials) for name, trials in found.items()}
@@ -177,12 +149,19 @@ def report(found: dict[str, list[Trial]], scenes: list[Episode]) -> dict:
         "undetected_but_done": of_each(
             lambda trials: sum(t.switch_failure == "not detected" and t.task_done for t in trials)
         ),
-        "counterexamples": counterexamples,
+        "counterexamples": sorted(counterexamples, key=lambda case: (case["magnitude"], case["file"])),
         "all_trials": all_trials,
     }
 
 
-def _plain(trial: Trial) -> dict:
+def _plain(name: str, number: int, trial: Trial, scenes: list[Episode]) -> dict:
     perturbation = trial.perturbation
-    derived = {"form": perturbation.form, "length_ticks": perturbation.ticks, "magnitude": perturbation.magnitude}
-    return asdict(trial) | derived
+    return asdict(trial) | {
+        "sampler": name,
+        "trial": number + 1,
+        "file": None if trial.failure is None else file_name(name, number),
+        "scene": scenes[perturbation.scene].seed,
+        "form": perturbation.form,
+        "length_ticks": perturbation.ticks,
+        "magnitude": perturbation.magnitude,
+    }

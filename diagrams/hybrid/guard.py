@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -58,13 +58,8 @@ def run(arguments: Guard) -> int:
     bar = tqdm(angles, desc="bisection", unit="ray", disable=None)
     points = [point for angle in bar if (point := bisect(probe, directions, reach, angle)) is not None]
     gamma = float(rollout.policy.gamma)
-    found = report(grid, points, gamma) | {
-        "joints": arguments.joints,
-        "level": arguments.level,
-        "ticks": arguments.ticks,
-        "gamma": gamma,
-        "tick_of_the_run": probe.tick,
-    }
+    setting = {name: getattr(arguments, name) for name in ("joints", "level", "ticks")}
+    found = report(grid, points, gamma) | setting | {"gamma": gamma, "tick_of_the_run": probe.tick}
     arguments.write("guard", found)
     title = f"alpha over {arguments.ticks} ticks after a displacement, {arguments.level:.2f} m before the can"
     save_guard(found, f"{title} (seed {arguments.seed})", arguments.out / "guard.png")
@@ -77,16 +72,6 @@ def run(arguments: Guard) -> int:
         f"{found['bisection_error']:.3f} deg (resolution {found['resolution']:.3f})"
     )
     return 0 if holds(found) else 1
-
-
-class Probe(Protocol):
-    """What is asked for a displacement (7, rad); see GuardProbe."""
-
-    def possible(self, displacement: np.ndarray) -> bool:
-        """Whether the arm can be there."""
-
-    def __call__(self, displacement: np.ndarray) -> tuple[float, float]:
-        """Largest alpha and largest error after it."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +89,12 @@ class GuardGrid:
 
 
 def scan(
-    probe: Probe, directions: np.ndarray, reach: float, count: int, on_point: Callable[[], object] = lambda: None
+    probe, directions: np.ndarray, reach: float, count: int, on_point: Callable[[], object] = lambda: None
 ) -> GuardGrid:
     """Evaluates the guard on a square grid.
 
     Args:
+        probe: see GuardProbe (`possible(displacement)`, `probe(displacement) -> (alpha, error)`).
         directions: (2, 7) unit vectors.
         reach: the coordinates go from -reach to reach, deg.
         count: points a side, odd, so that 0 is among them.
@@ -125,7 +111,7 @@ def scan(
     return GuardGrid(coordinates, alpha, error)
 
 
-def bisect(probe: Probe, directions: np.ndarray, reach: float, angle: float) -> np.ndarray | None:
+def bisect(probe, directions: np.ndarray, reach: float, angle: float) -> np.ndarray | None:
     """(2,) deg: a point of the guard surface on the ray at `angle` (rad) from no displacement.
 
     None where the ray's end is no place for the arm, or is in mode `task`.

@@ -210,9 +210,8 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
     nearest = sorted(runs, key=lambda run: (-run.max_crossings_per_second, run.shortest_stay))
 
     def dwell(complete: bool) -> dict:
-        return {
-            m: _spread([s.seconds for s in stays if s.mode == m and s.complete is complete]) for m in (TASK, RETURN)
-        }
+        seconds = {m: [s.seconds for s in stays if s.mode == m and s.complete is complete] for m in (TASK, RETURN)}
+        return {mode: _spread(values) for mode, values in seconds.items()}
 
     return {
         "runs": len(runs),
@@ -220,13 +219,8 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
         "limit_crossings_per_second": limit,
         "zeno_like": [run.name for run in runs if run.max_crossings_per_second > limit],
         "nearest": [
-            {
-                "name": run.name,
-                "max_crossings_per_second": run.max_crossings_per_second,
-                "shortest_stay_s": run.shortest_stay,
-                "crossings": len(run.crossings),
-                "outcome": run.outcome,
-            }
+            {"name": run.name, "outcome": run.outcome, "crossings": len(run.crossings),
+             "max_crossings_per_second": run.max_crossings_per_second, "shortest_stay_s": run.shortest_stay}
             for run in nearest[:5]
         ],
         "dwell_seconds": dwell(True),
@@ -240,7 +234,7 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
             for name in ("joint_jump_deg", "finger_jump_m", "home_distance_deg", "state_rms")
         },
         "sequences": [asdict(run) for run in runs],
-    }
+    }  # fmt: skip
 
 
 def _spread(values: list[float]) -> dict:

@@ -20,13 +20,12 @@ import numpy as np
 import torch
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
+from diagrams.hybrid.return_loop import regulated_mixer
 from diagrams.world.configuration import World
-from diagrams.world.names import ARM_JOINTS
-from diagrams.world.station import PickPlaceStation, controller_limits
+from diagrams.world.station import PickPlaceStation
 from models.errors import InputError
 from models.files.weights import StoredPolicy
 from models.networks.rnn import RecurrentNetwork
-from systems.regulated_mixer import RegulatedMixer
 
 DIFFERENCE = 1e-5  # of the central differences, scaled units
 
@@ -35,23 +34,19 @@ class OneTickMap:
     """The map z -> z+ of one tick with everything that it is differentiated by."""
 
     def __init__(self, world: World, stored: StoredPolicy, features: np.ndarray):
-        """`stored`: network, scaling and gain; `features` (F,), held."""
+        """`stored`: network and scaling; `features` (F,), held."""
         self.rnn: RecurrentNetwork = copy.deepcopy(stored.rnn).double()
         self.state_size, self.posture_size = self.rnn.state_size, self.rnn.posture_size
         if len(features) != self.rnn.feature_size:
             raise InputError(f"{len(features)} features do not fit the network, which takes {self.rnn.feature_size}")
         self._features = torch.tensor(np.asarray(features), dtype=torch.float64)
-        self._law = _law(world, stored)
+        self._law = regulated_mixer(world, PickPlaceStation(world, camera=False), stored.scaling)
         self._law_context = self._law.CreateDefaultContext()
         self._law_ad = self._law.ToAutoDiffXd()
         self._law_ad_context = self._law_ad.CreateDefaultContext()
         for law, context in ((self._law, self._law_context), (self._law_ad, self._law_ad_context)):
             for port in ("alpha", "last_alphas"):
                 law.GetInputPort(port).FixValue(context, np.zeros(1))
-
-    def join(self, hidden: np.ndarray, posture: np.ndarray) -> np.ndarray:
-        """z (S + 8,) of a hidden state (S,) and a scaled posture (8,)."""
-        return np.concatenate((hidden, posture))
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
         """One tick: z (S + 8,) to z+."""
@@ -93,20 +88,3 @@ def _command(law, context, posture: np.ndarray, prediction: np.ndarray) -> np.nd
     law.GetInputPort("posture").FixValue(context, posture)
     law.GetInputPort("predicted_posture").FixValue(context, prediction)
     return law.GetOutputPort("desired_posture").Eval(context).copy()
-
-
-def _law(world: World, stored: StoredPolicy) -> RegulatedMixer:
-    """Regulator and mixer, scaled."""
-    scaling = stored.scaling
-    lower, upper, speed = controller_limits(PickPlaceStation(world, camera=False))
-    return RegulatedMixer(
-        posture_size=stored.rnn.posture_size,
-        joints=ARM_JOINTS,
-        initial_posture=scaling.scale(stored.initial_posture),
-        Q=world.regulator.state_weight,
-        R=world.regulator.input_weight,
-        period=world.timing.period,
-        lower=scaling.scale(lower),
-        upper=scaling.scale(upper),
-        max_step=speed * world.timing.period / scaling.half_range,
-    )

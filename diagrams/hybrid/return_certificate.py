@@ -27,6 +27,7 @@ from diagrams.hybrid.common import NetworkArguments
 from diagrams.hybrid.lyapunov import SAFETY_FACTOR, Lyapunov
 from diagrams.hybrid.return_trajectories import Sample, Trajectory, sample_postures, trajectories_home
 from diagrams.world.configuration import World
+from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE
@@ -151,14 +152,13 @@ def certify(
     calibration, inner, outer = (np.random.default_rng([seed, stream]) for stream in range(3))
     certificate = make_certificate(world, units, max(samples // 20, 10), calibration, pool, store)
     lyapunov, level = certificate.lyapunov, certificate.level
-    limits = controller_limits(PickPlaceStation(world, camera=False))
-    lower, upper = (v[:ARM_JOINTS] for v in limits[:2])
+    home, period = world.initial_posture[:ARM_JOINTS], world.timing.period
+    hand = HandKinematics(home)
     starts_in, impossible_in = sample_postures(world, lyapunov, level, samples, inner)
-    starts_out, impossible_out = sample_postures(world, lyapunov, level, outside, outer, (lower, upper))
+    starts_out, impossible_out = sample_postures(world, lyapunov, level, outside, outer, (hand.lower, hand.upper))
     inside = trajectories_home(world, starts_in, pool, store, "inside")
     beyond = trajectories_home(world, starts_out, pool, store, "outside")
 
-    home, period = world.initial_posture[:ARM_JOINTS], world.timing.period
     arrivals_out = np.array([trajectory.arrival(home) for trajectory in beyond])
     values = [lyapunov.value(trajectory.rows - home) for trajectory in inside]
     report = {
@@ -176,18 +176,24 @@ def certify(
         "levels": certificate.levels,
         "level_at_home": certificate.at_home,
         "semi_axes_deg": np.rad2deg(np.sqrt(level * np.diag(np.linalg.inv(lyapunov.P)))).tolist(),
-        "tracking_error": {
-            "eta": certificate.eta,
-            "safety_factor": SAFETY_FACTOR,
-            "postures": certificate.calibrated,
-        },
+        "tracking_error": {"eta": certificate.eta, "safety_factor": SAFETY_FACTOR, "postures": certificate.calibrated},
         "S": lyapunov.P.tolist(),
         "units_rad": np.asarray(units).tolist(),
         "collision_share": _shares(inside),
         "collision_share_outside": _shares(beyond),
         "impossible_samples": {"inside": impossible_in, "outside": impossible_out},
     }
-    return report, _picture(world, certificate, values, (starts_in, inside), (starts_out, beyond), arrivals_out < 0)
+
+    def drawn(samples: list[Sample], trajectories: list[Trajectory]) -> dict:
+        hands = [hand.grasp_position(sample.joints) for sample in samples]
+        return {"hands": np.reshape(hands, (-1, 3)), "touches": [t.touches for t in trajectories]}
+
+    picture = {
+        "values": values, "level": level, "rate": certificate.rate, "at_home": certificate.at_home,
+        "period": period, "home": hand.grasp_position(home), "grid": world.grid.bounds,
+        "inside": drawn(starts_in, inside), "outside": drawn(starts_out, beyond) | {"failed": arrivals_out < 0},
+    }  # fmt: skip
+    return report, picture
 
 
 def _inside(
@@ -229,26 +235,3 @@ def _shares(trajectories: list[Trajectory]) -> dict[str, float]:
     names = Counter(t.touches for t in trajectories if t.touches is not None)
     total = max(len(trajectories), 1)
     return {"any": names.total() / total} | {name: names[name] / total for name in sorted(names)}
-
-
-def _picture(world: World, certificate: Certificate, values, inside, outside, failed_outside: np.ndarray) -> dict:
-    from diagrams.world.inverse_kinematics import HandKinematics
-
-    home = world.initial_posture[:ARM_JOINTS]
-    hand = HandKinematics(home)
-
-    def starts(samples: list[Sample], trajectories: list[Trajectory]) -> dict:
-        hands = [hand.grasp_position(sample.joints) for sample in samples]
-        return {"hands": np.reshape(hands, (-1, 3)), "touches": [t.touches for t in trajectories]}
-
-    return {
-        "values": values,
-        "level": certificate.level,
-        "rate": certificate.rate,
-        "at_home": certificate.at_home,
-        "period": world.timing.period,
-        "home": hand.grasp_position(home),
-        "grid": world.grid.bounds,
-        "inside": starts(*inside),
-        "outside": starts(*outside) | {"failed": failed_outside},
-    }

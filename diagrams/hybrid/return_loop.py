@@ -11,11 +11,31 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import at_home
+from models.data.scaling import MinMaxScaling
 from systems.posture_history import PostureHistory
 from systems.regulated_mixer import RegulatedMixer
 
 TIME_LIMIT = 10.0  # s: an arm that is not at home by then has failed
 TICKS_AT_HOME = 5  # simulated beyond the arrival, for V
+
+
+def regulated_mixer(world: World, station: PickPlaceStation, scaling: MinMaxScaling | None = None) -> RegulatedMixer:
+    """The LQR and Eq. 3 for the arm of `station`, in the units of `scaling`; without one in rad and m."""
+    lower, upper, speed = controller_limits(station)
+    postures = [world.initial_posture, lower, upper]
+    initial, lower, upper = postures if scaling is None else map(scaling.scale, postures)
+    step = speed * world.timing.period
+    return RegulatedMixer(
+        posture_size=len(step),
+        joints=ARM_JOINTS,
+        initial_posture=initial,
+        Q=world.regulator.state_weight,
+        R=world.regulator.input_weight,
+        period=world.timing.period,
+        lower=lower,
+        upper=upper,
+        max_step=step if scaling is None else step / scaling.half_range,
+    )
 
 
 class ReturnLoop:
@@ -25,26 +45,10 @@ class ReturnLoop:
         self.world = world
         builder = DiagramBuilder()
         self.station = builder.AddSystem(PickPlaceStation(world, camera=False))
-        lower, upper, speed = controller_limits(self.station)
-        size, period = ARM_JOINTS + 1, world.timing.period
-        initial = world.initial_posture
-        history = builder.AddNamedSystem(
-            "posture_history", PostureHistory(posture_size=size, horizon=1, period=period, initial_posture=initial)
-        )
-        mixer = builder.AddNamedSystem(
-            "regulated_mixer",
-            RegulatedMixer(
-                posture_size=size,
-                joints=ARM_JOINTS,
-                initial_posture=initial,
-                Q=world.regulator.state_weight,
-                R=world.regulator.input_weight,
-                period=period,
-                lower=lower,
-                upper=upper,
-                max_step=speed * period,
-            ),
-        )
+        initial, period = world.initial_posture, world.timing.period
+        history = PostureHistory(posture_size=len(initial), horizon=1, period=period, initial_posture=initial)
+        builder.AddNamedSystem("posture_history", history)
+        mixer = builder.AddNamedSystem("regulated_mixer", regulated_mixer(world, self.station))
         alpha = builder.AddNamedSystem("alpha", ConstantVectorSource(np.ones(1)))
         builder.Connect(self.station.GetOutputPort("posture"), history.GetInputPort("posture"))
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say

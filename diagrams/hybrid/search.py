@@ -44,16 +44,8 @@ class Trial:
         if target is not None and len(active) and active[0] > 0:
             before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
             moved = float(np.rad2deg(np.linalg.norm(np.array(target) - before)))
-        return cls(
-            perturbation,
-            failure,
-            outcome.switch_failure,
-            bool(outcome.success),
-            objective,
-            outcome.detection_delay_s,
-            moved,
-            record_hash(record),
-        )
+        done, delay = bool(outcome.success), outcome.detection_delay_s
+        return cls(perturbation, failure, outcome.switch_failure, done, objective, delay, moved, record_hash(record))
 
     @classmethod
     def of_row(cls, row: dict[str, Any]) -> Trial:

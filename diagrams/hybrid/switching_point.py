@@ -13,6 +13,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from diagrams.episodes.compatibility import require_trained_for
 from diagrams.hybrid.common import Arguments
 from diagrams.hybrid.fixed_point import measure_decay, nearest_fixed_point
 from diagrams.world.configuration import World
@@ -63,6 +64,7 @@ def run(arguments: Linearize) -> int:
     EpisodeSampler(world).require_reachable(can_xy)
     policies = [(path, load_policy(path)) for path in arguments.policies]
     for path, stored in policies:
+        require_trained_for(world, stored)
         if stored.encoder_hash != encoder.hash:
             raise InputError(
                 f"{path} was trained with another encoder than {arguments.encoder}: give that one with --encoder"
@@ -155,7 +157,7 @@ def analyse(
 
     loop = OneTickMap(world, stored, image.features)
     size = loop.posture_size
-    start = loop.join(np.zeros(loop.state_size), stored.scaling.scale(image.posture))
+    start = np.concatenate((np.zeros(loop.state_size), stored.scaling.scale(image.posture)))
     point = nearest_fixed_point(loop, loop.jacobian, start, size)
     J = loop.jacobian(point.z)
     eigenvalues = np.linalg.eigvals(J)

@@ -14,7 +14,7 @@ def test_one_tick_by_hand(world, stored):
     rng = np.random.default_rng(0)
     home = stored.scaling.scale(world.initial_posture)
     hidden, posture = 0.1 * rng.normal(size=500), home + 0.05 * rng.normal(size=8)
-    after = loop(loop.join(hidden, posture))
+    after = loop(np.concatenate((hidden, posture)))
     x = torch.tensor(np.concatenate((posture, FEATURES)), dtype=torch.float32)[None]
     with torch.no_grad():
         y, c = stored.rnn.step(x, torch.tensor(hidden, dtype=torch.float32)[None])
