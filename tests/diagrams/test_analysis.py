@@ -112,6 +112,13 @@ def test_linearize_compares_policies(tmp_path, weights):
         main(parse(["linearize", "--policies", policy, "--out", str(out)]))
 
 
+def test_a_policy_of_another_world_is_not_linearised(tmp_path, weights):
+    (tmp_path / "s.yaml").write_text("world:\n  timing:\n    period: 0.05\n")
+    asked = ["--policies", f"{weights}/lstm.safetensors", "--encoder", f"{weights}/cae.safetensors"]
+    with pytest.raises(InputError, match=r"period is 0\.05, the network was trained with 0\.1"):
+        main(parse(["linearize", *asked, "--scenario", str(tmp_path / "s.yaml"), "--out", str(tmp_path)]))
+
+
 def test_a_detector_that_notices_everything_has_no_guard_to_probe(tmp_path, weights):
     with pytest.raises(InputError, match="is in mode return"):
         main(parse(["guard", "--weights", weights, "--out", str(tmp_path)]))
