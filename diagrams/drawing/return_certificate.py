@@ -1,4 +1,4 @@
-"""The certificate of mode `return`: V over time, and where the hand starts whose straight path home touches something."""
+"""The certificate of mode `return`: V over time, and from where a straight path home touches something."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def save_certificate(data: dict[str, Any], path: Path) -> None:
     """Draws V against the certified rate (left) and the starts, from above and from the side.
 
     Args:
-        data: `values`, V at the ticks of each trajectory from inside the set; `level` of the set and `at_home`, `rate` a
+        data: `values`, V at the ticks of each trajectory from inside the set; its `level`, that `at_home`, `rate` a
             tick, `period` s; `home` (3,), grasp frame at home, m; `grid`, two corners of the cans' area; `inside` and
             `outside`: `hands` (n, 3) m, `touches`, names of models or None, and outside `failed` (n,) bool.
     """

@@ -37,7 +37,7 @@ class Falsify(NetworkArguments):
 
 
 def run(arguments: Falsify) -> int:
-    """Searches, and replays each sampler's smallest counterexample from its file; returns 0 if all give the same bits."""
+    """Searches, and replays each sampler's smallest counterexample; returns 0 if all give the same bits, else 1."""
     import cmaes  # noqa: F401 - absent, it is named before anything is run
     import optuna  # noqa: F401
 

@@ -32,7 +32,7 @@ class FixedPoint:
 
 
 def newton(step: Map, jacobian: Map, start: np.ndarray, started_after: int = 0) -> FixedPoint:
-    """Newton's method on F(z) - z = 0 with step halving; where no step makes the residual smaller, it ends at a slow point.
+    """Newton's method on F(z) - z = 0 with step halving; it ends where no step makes the residual smaller.
 
     Args:
         step, jacobian: F and its derivative.
@@ -57,7 +57,7 @@ def newton(step: Map, jacobian: Map, start: np.ndarray, started_after: int = 0) 
 
 
 def nearest_fixed_point(step: Map, jacobian: Map, origin: np.ndarray, posture_size: int) -> FixedPoint:
-    """The fixed point with the posture nearest to that of `origin`, of those that Newton finds from the orbit that leaves it.
+    """The fixed point with the posture nearest to that of `origin`, of those found from the orbit that leaves it.
 
     Args:
         origin: z, (n,), its last `posture_size` components the posture.

@@ -1,8 +1,8 @@
 """The guard surface alpha = 1/2, cut by two directions of posture displacement.
 
-At a moment of an undisturbed run the whole state of the hybrid system is cloned, the arm is displaced by a u + b v at once,
-and the real closed loop (camera, networks, detector, physics) runs on for a few ticks. The largest alpha of those ticks says
-in which mode that ends: `task` or `return`. Displacements that put the arm into the scene are left out.
+At a moment of an undisturbed run the whole state of the hybrid system is cloned, the arm is displaced by a u + b v at
+once, and the real closed loop (camera, networks, detector, physics) runs on for a few ticks. The largest alpha of those
+ticks says in which mode that ends: `task` or `return`. Displacements that put the arm into the scene are left out.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Guard(NetworkArguments):
 
 
 def run(arguments: Guard) -> int:
-    """Scans the grid and bisects along the rays; returns 0 if the points agree with the grid within its resolution, else 1."""
+    """Scans a grid and bisects along rays; returns 0 if both agree within the grid's resolution, else 1."""
     from tqdm import tqdm
 
     from diagrams.drawing.guard import save_guard
@@ -137,7 +137,7 @@ def bisect(probe, directions: np.ndarray, reach: float, angle: float) -> np.ndar
 
 
 def contour(grid: GuardGrid, gamma: float) -> list[np.ndarray]:
-    """The guard surface as the grid has it: lines (n, 2), deg, interpolated to where the error is `gamma` (alpha = 1/2)."""
+    """The guard surface as the grid has it: lines (n, 2), deg, where the error is `gamma` (alpha = 1/2)."""
     from contourpy import contour_generator
 
     values = np.ma.masked_invalid(np.log(np.maximum(grid.error, 1e-9) / gamma))

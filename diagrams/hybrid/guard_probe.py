@@ -27,7 +27,7 @@ class GuardProbe:
         """
         self._rollout, self._ticks = rollout, ticks
         self._period = rollout.world.timing.period
-        # Half a plant step before a tick: later in the tick the servo would draw the arm back before its posture is sampled.
+        # Half a plant step before a tick: else the servo pulls the arm back before its posture is sampled.
         self._before = 0.5 * rollout.world.timing.time_step
         rollout.prepare(episode)
         station, simulator = rollout.station, rollout.simulator

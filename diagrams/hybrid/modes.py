@@ -1,10 +1,10 @@
 """The switched loop as a hybrid automaton: its modes, guard crossings, dwell times and resets, measured on records.
 
-Mode `task` (alpha < 1/2): the network moves the arm and sees it. Mode `return` (alpha >= 1/2): the LQR moves the arm, the
-network runs on its own predictions. The guard is alpha = 1/2. Crossing it back resets the network's input from what it
-imagined to what is measured: at the switching point the two should be the same. It does so a tick later, since Eqs. 7 and
-8 take alpha of the tick before; for that tick the joints are still left to the LQR, and for a few more the fingers stand
-(AlphaMixer).
+Mode `task` (alpha < 1/2): the network moves the arm and sees it. Mode `return` (alpha >= 1/2): the LQR moves the arm,
+the network runs on its own predictions. The guard is alpha = 1/2. Crossing it back resets the network's input from what
+it imagined to what is measured: at the switching point the two should be the same. It does so a tick later, since Eqs.
+7 and 8 take alpha of the tick before; for that tick the joints are still left to the LQR, and for a few more the
+fingers stand (AlphaMixer).
 """
 
 from __future__ import annotations
@@ -165,8 +165,8 @@ def mode_sequence(record: Record, outcome: dict, name: str, initial_posture: np.
 
 
 def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
-    # alpha falls at tick k, whose input is still imagined. The next would be the prediction made at k: dm^R is taken from
-    # the posture of k.
+    # alpha falls at tick k, whose input is still imagined. The next would be the prediction made at k: dm^R is taken
+    # from the posture of k.
     jump = np.abs(record.posture[k + 1] - (record.posture[k] + record.rnn_step[k]))
     home = np.abs(record.posture[k + 1] - initial_posture)[:ARM_JOINTS]
     return Reset(
@@ -181,8 +181,8 @@ def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
 def short_stays(runs: list[ModeSequence]) -> dict[str, int]:
     """How many stays between two crossings last at most SHORT, by where they come.
 
-    `reset`: within AT_RESET before the run's last crossing back to `task`, or in `task` right after it; `onset`: the first
-    stay in `return`, or within AT_RESET of the first crossing; `between`: any other.
+    `reset`: within AT_RESET before the run's last crossing back to `task`, or in `task` right after it; `onset`: the
+    first stay in `return`, or within AT_RESET of the first crossing; `between`: any other.
     """
     found = {"onset": 0, "reset": 0, "between": 0}
     for run in runs:

@@ -1,12 +1,12 @@
 """The closed loop's map over one tick in mode `task`, and its derivative.
 
-Held: the image features of a scene, and alpha = 0. Two idealisations: the arm is at the commanded posture one tick later
-(the servo's lag is a few percent of a step), and the features do not change while the posture does.
+Held: the image features of a scene, and alpha = 0. Two idealisations: the arm is at the commanded posture one tick
+later (the servo's lag is a few percent of a step), and the features do not change while the posture does.
 
-State of the map, and why no more: z = (c, m), the network's hidden state (S) and the scaled posture (8, its last component
-the *command* of the fingers). The last prediction enters the loop only times alpha (Eqs. 7, 8), the recalled postures only
-through alpha; alpha and its derivative are next to nothing at a fixed point, where nothing moves and all is recalled
-(`alpha` in the report measures it).
+State of the map, and why no more: z = (c, m), the network's hidden state (S) and the scaled posture (8, its last
+component the *command* of the fingers). The last prediction enters the loop only times alpha (Eqs. 7, 8), the recalled
+postures only through alpha; alpha and its derivative are next to nothing at a fixed point, where nothing moves and all
+is recalled (`alpha` in the report measures it).
 
     y, c+ = rnn([m, f], c)                the policy: torch, float64 copy of the weights, Jacobian by torch.func
     m+    = mixer(m, clip(y), regulator(m), alpha = 0)      Eq. 3: Drake's systems, Jacobian by AutoDiffXd

@@ -1,9 +1,10 @@
 """Perturbations: one family that holds both of the paper's disturbances, for the search of the smallest that defeats.
 
-The arm is deflected by `size_deg` along a direction, from a moment on, and held there for a while; or it is stopped alone; or
-stopped while the can is taken out of its hand and put elsewhere. Defeated means one of DEFEATS (diagrams/episodes/switching.py).
-A perturbation that is not detected is no defeat where the task is done all the same: the network has coped with it. As in the
-sampling of episodes, one whose forced path or straight path home would touch the scene is none.
+The arm is deflected by `size_deg` along a direction, from a moment on, and held there for a while; or it is stopped
+alone; or stopped while the can is taken out of its hand and put elsewhere. Defeated means one of DEFEATS
+(diagrams/episodes/switching.py). A perturbation that is not detected is no defeat where the task is done all the same:
+the network has coped with it. As in the sampling of episodes, one whose forced path or straight path home would touch
+the scene is none.
 
 What is minimised: the magnitude in [0, 1] where the controller is defeated, else 1 + its margin in [0, 1].
 """
@@ -98,8 +99,9 @@ class PerturbationSpace:
     def propose(self, suggest: Any) -> Perturbation | None:
         """What a sampler proposes; None where no experimenter could do it.
 
-        The moment does not come, or the arm would leave its limits or touch the scene on its path there or home. The first
-        half of the moments is subtask 1, the second subtask 2, each from the earliest distance to the goal to the latest.
+        The moment does not come, or the arm would leave its limits or touch the scene on its path there or home. The
+        first half of the moments is subtask 1, the second subtask 2, each from the earliest distance to the goal to the
+        latest.
 
         `suggest`: as optuna's Trial.suggest_float. Numbers only: CMA-ES knows no choices.
         """

@@ -1,8 +1,8 @@
-"""A certificate for mode `return`: from which postures the LQR brings the arm home, how fast, and its proof by simulation.
+"""A certificate for mode `return`: from which postures the LQR brings the arm home, how fast; and its test.
 
-In this mode the command is m + clamp(-K (m - m_0)) once a tick, and the servo follows with an error e. S of the discrete
-Riccati equation makes V = (m - m_0)' S (m - m_0) a Lyapunov function of the ideal loop: V[k+1] <= rate V[k]. The certified
-set is the largest level set of V
+In this mode the command is m + clamp(-K (m - m_0)) once a tick, and the servo follows with an error e. S of the
+discrete Riccati equation makes V = (m - m_0)' S (m - m_0) a Lyapunov function of the ideal loop: V[k+1] <= rate V[k].
+The certified set is the largest level set of V
 
 - within the joint limits,
 - in which no step of the command is clamped by the joints' speeds,
@@ -221,7 +221,7 @@ def _inside(
 
 
 def holds(report: dict) -> bool:
-    """Whether the measurement bears the certificate out; the rate on clear paths, since contact is not what it covers."""
+    """Whether the measurement bears the certificate out; the rate on clear paths, as it does not cover contact."""
     return (
         report["failures_inside"] == 0
         and report["later_than_certified"] == 0

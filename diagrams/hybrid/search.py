@@ -1,4 +1,4 @@
-"""Searches for the smallest perturbation that defeats the controller, by Optuna's samplers, each with the same budget."""
+"""Searches for the smallest perturbation that defeats the controller: Optuna's samplers with the same budget."""
 
 from __future__ import annotations
 
@@ -98,8 +98,9 @@ def search_all(
 ) -> dict[str, list[Trial]]:
     """One search for each of `samplers`, each with `trials` of its own, at the same time.
 
-    `run` is called from several threads. Each search's course depends on its seed alone, not on the others'. Trials that
-    are in the store are not run again. `on_trial` is called after each trial with its number, from 0, one call at a time.
+    `run` is called from several threads. Each search's course depends on its seed alone, not on the others'. Trials
+    that are in the store are not run again. `on_trial` is called after each trial with its number, from 0, one call at
+    a time.
     """
     from tqdm import tqdm
 

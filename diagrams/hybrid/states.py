@@ -36,8 +36,8 @@ def run(arguments: States) -> int:
 class State:
     """One state: `owner` is the system's path in the root Diagram, `index` counts the owner's states of that kind.
 
-    `size`: numbers of a continuous or discrete state, 1 for an abstract one; `period`: s, None where the system declares
-    no single one.
+    `size`: numbers of a continuous or discrete state, 1 for an abstract one; `period`: s, None where the system
+    declares no single one.
     """
 
     owner: str

@@ -79,8 +79,8 @@ def run(arguments: Linearize) -> int:
         cases.append(name | found | {"eigenvalues": found["eigenvalues"][:WRITTEN_EIGENVALUES]})
         pictures.append((f"{path.stem}, subtask {image.subtask}", found["eigenvalues"], norms))
         print(
-            f"{path.name}, subtask {found['subtask']}: {found['kind']} {found['distance_deg']:.2f} deg from the initial "
-            f"posture, spectral radius {found['spectral_radius']:.4f}; factor a tick predicted "
+            f"{path.name}, subtask {found['subtask']}: {found['kind']} {found['distance_deg']:.2f} deg from the "
+            f"initial posture, spectral radius {found['spectral_radius']:.4f}; factor a tick predicted "
             f"{found['decay_predicted']:.4f}, simulated {found['decay_measured']:.4f}; "
             f"Jacobian off by {found['jacobian_error']:.1e}",
             flush=True,
@@ -105,7 +105,7 @@ class SubtaskImage:
 
 
 def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: str) -> list[SubtaskImage]:
-    """The scene before subtask 1 (the can on the desk) and before subtask 2 (the can in the hand), arm at its initial posture.
+    """The scene before subtask 1 (can on the desk) and before subtask 2 (can in the hand), the arm at home.
 
     Between the two the teacher picks the can in physics; raises InputError where that fails. `encoder`: see
     models/inference.py.
@@ -149,9 +149,9 @@ def analyse(
         samples: perturbations simulated; seed: of their directions.
 
     Returns:
-        The report, plain types: `decay_predicted` and `decay_measured` are factors a tick (above 1: growth), `decay_error`
-        the largest relative error of the logarithm of any sample's factor, `jacobian_error` the largest difference to
-        finite differences; and each perturbation's norms (ticks,).
+        The report, plain types: `decay_predicted` and `decay_measured` are factors a tick (above 1: growth),
+        `decay_error` the largest relative error of the logarithm of any sample's factor, `jacobian_error` the largest
+        difference to finite differences; and each perturbation's norms (ticks,).
     """
     from diagrams.hybrid.one_tick_map import OneTickMap
 

@@ -28,7 +28,8 @@ def test_automaton(drawn):
     report = {
         "runs": 2, "max_crossings_per_second": 1, "transitions": {"task->return": 7, "return->task": 6},
         "dwell_seconds": {"task": {"count": 0}, "return": {"count": 4, "min": 1.0, "median": 2.0, "max": 3.5}},
-        "sequences": [{"name": "first", "outcome": "done", "modes": stays}, {"name": "second", "outcome": "time", "modes": stays[:1]}],
+        "sequences": [{"name": "first", "outcome": "done", "modes": stays},
+                      {"name": "second", "outcome": "time", "modes": stays[:1]}],
     }  # fmt: skip
     words, (_, right) = drawn(automaton, "save_automaton", report)
     for word in ("7 times: recall fails", "6 times: recalls again", "1.0 / 2.0 / 3.5 s", "stays: 4", "second (time)"):
@@ -50,7 +51,8 @@ def test_guard(drawn):
     errors = np.hypot(*np.meshgrid(x, x)) + 0.1
     errors[0, 0] = np.nan
     report = {
-        "coordinates_deg": x.tolist(), "errors": errors.tolist(), "alpha": np.where(errors > 6, 1.0, errors * 0).tolist(),
+        "coordinates_deg": x.tolist(), "errors": errors.tolist(),
+        "alpha": np.where(errors > 6, 1.0, errors * 0).tolist(),
         "gamma": 6.0, "bisected_points_deg": [[6.0, 0.0]], "joints": (1, 4),
     }  # fmt: skip
     words, axes = drawn(guard, "save_guard", report, "the title")
@@ -76,7 +78,8 @@ def test_falsification(drawn):
 
 def test_certificate(drawn):
     data = {
-        "values": [np.array([1.0, 0.8, 0.5]), np.array([0.9, 0.6])], "level": 2.0, "rate": 0.9, "at_home": 0.1, "period": 0.1,
+        "values": [np.array([1.0, 0.8, 0.5]), np.array([0.9, 0.6])], "level": 2.0, "rate": 0.9,
+        "at_home": 0.1, "period": 0.1,
         "home": np.zeros(3), "grid": (np.array([0.4, -0.1]), np.array([0.6, 0.1])),
         "inside": {"hands": np.eye(3), "touches": [None, "desk", None]},
         "outside": {"hands": np.ones((1, 3)), "touches": ["shelf"], "failed": np.array([True])},

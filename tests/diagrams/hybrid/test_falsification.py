@@ -77,7 +77,7 @@ def test_counterexample_replays_bit_by_bit(rollout, policy, world, sampler, tmp_
 
 
 def test_a_blind_controller_is_defeated_and_the_program_replays_it(tmp_path, monkeypatch):
-    """The shipped network with a threshold that nothing reaches: whatever keeps it from its task is a counterexample."""
+    """The shipped network with a threshold that nothing reaches: whatever stops it is a counterexample."""
     monkeypatch.setattr(Rollout, "run", partialmethod(Rollout.run, time_limit=7.0))  # too short for the task
     weights, out = tmp_path / "weights", tmp_path / "out"
     weights.mkdir()

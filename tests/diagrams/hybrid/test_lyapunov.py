@@ -14,7 +14,7 @@ def lyapunov(world):
 
 
 def test_riccati_by_hand(lyapunov):
-    """Scalar: S^2 = q (S + r) with q = 1, r = 90 gives S = 10, K = 10 / 100; V falls by (1 + 0.01 * 90) / 10 of itself."""
+    """Scalar: S^2 = q (S + r), q = 1, r = 90: S = 10, K = 10 / 100; V falls by (1 + 0.01 * 90) / 10 of itself."""
     assert np.diag(lyapunov.P) == pytest.approx(10.0 / UNITS**2, rel=1e-8)
     assert lyapunov.gain == pytest.approx(0.1 * np.eye(7), abs=1e-8)
     assert lyapunov.rate == pytest.approx(0.81, abs=1e-8)

@@ -36,7 +36,7 @@ def test_stays_and_crossings_by_hand():
 def test_reset_compares_the_prediction_with_what_came():
     run = sequence([0, 1, 1, 0, 0])
     found, (reset,) = make_record([0, 1, 1, 0, 0]), run.resets
-    # alpha_3 = 0: the network sees m_4 (Eqs. 7, 8 with alpha_3), where with alpha_3 = 1 it would have seen what it predicted at tick 3.
+    # alpha_3 = 0: the network sees m_4 (Eqs. 7, 8); with alpha_3 = 1 it would have seen what it predicted at tick 3.
     jump = np.abs(found.posture[4] - (found.posture[3] + found.rnn_step[3]))
     assert reset.time == pytest.approx(0.4)
     assert reset.joint_jump_deg == pytest.approx(np.rad2deg(jump[:7].max()))
