@@ -26,7 +26,7 @@ def facts(world: World) -> dict[str, Any]:
 def require_trained_for(world: World, policy) -> None:
     """Raises InputError where `policy` (see models/inference.py) was trained in another world; names both values."""
     trained = TRAINED_IN | getattr(policy, "metadata", {}).get("world", {})
-    trained |= {"initial posture": np.asarray(policy.initial_posture), "components": policy.posture_size}
+    trained |= {"initial posture": np.asarray(policy.initial_posture), "components": len(policy.initial_posture)}
     initial = world.initial_posture
     have = facts(world) | {"initial posture": initial, "components": len(initial)}
     for name in ("components", "initial posture", "period", "camera", "closed_opening"):

@@ -1,240 +1,167 @@
-"""Falsification: the smallest push (diagrams/hybrid/perturbations.py) that defeats the switched controller, searched by Optuna's samplers."""
+"""Falsification: the smallest perturbation that defeats the switched controller, as scenario files that replay it."""
 
 from __future__ import annotations
 
-import json
-import threading
-from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import ClassVar
 
 from diagrams.episodes.calibration import Controller
 from diagrams.episodes.episode import Episode, Outcome
-from diagrams.episodes.pool import Worker
+from diagrams.episodes.fingerprint import fingerprint
+from diagrams.episodes.pool import Pool
 from diagrams.episodes.record import Record, record_hash
-from diagrams.hybrid.perturbations import Push, judge
+from diagrams.episodes.runner import Job, run_episode
+from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
+from diagrams.episodes.store import RowStore
+from diagrams.episodes.switching import DEFEATS
+from diagrams.hybrid.common import NetworkArguments
+from diagrams.hybrid.perturbations import FORMS, Perturbation, PerturbationSpace
+from diagrams.hybrid.search import Trial, search_all
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import Disturbance
-from diagrams.world.names import ARM_JOINTS
-from diagrams.world.scenario import Scenario
+from diagrams.world.names import WEIGHTS
+from diagrams.world.scenario import Scenario, load_scenario, save_scenario
 from models.errors import InputError
 
-SAMPLERS = ("tpe", "cmaes", "random")
-ASKS_PER_TRIAL = 50  # proposals that are no disturbance are told so; after that many a search gives up
+
+@dataclass
+class Falsify(NetworkArguments):
+    """The smallest disturbance that defeats the switched controller, by three samplers with the same budget."""
+
+    trials: int = 40  # simulated, a sampler; with more of them a search goes on from what is in --out
+    scenes: int = 4  # validation scenes among which it chooses
+    workers: int = 2
+
+    LEAST: ClassVar[dict[str, int]] = {"trials": 1, "scenes": 1, "workers": 0}
 
 
-@dataclass(frozen=True)
-class Trial:
-    """What came of one simulated push."""
+def run(arguments: Falsify) -> int:
+    """Searches, and replays each sampler's smallest counterexample; returns 0 if all give the same bits, else 1."""
+    import cmaes  # noqa: F401 - absent, it is named before anything is run
+    import optuna  # noqa: F401
 
-    push: Push
-    disturbance: Disturbance
-    failure: str | None  # one of DEFEATS, or None
-    switch_failure: str | None
-    task_done: bool
-    objective: float
-    detection_delay_s: float | None
-    moved_deg: float  # norm of the move from the command at the onset, as it came
-    record_hash: str  # of the record
+    from diagrams.drawing.falsification import save_search
+    from models.inference import Encoder, Policy
 
-    @classmethod
-    def of(cls, push: Push, disturbance: Disturbance, outcome: Outcome, record: Record, gamma: float) -> Trial:
-        """`gamma`: the threshold of the record's errors."""
-        failure, objective = judge(push, outcome, record, float(record.time[1] - record.time[0]), gamma)
-        moved = 0.0
-        active = np.flatnonzero(record.active)
-        if disturbance.target_joints is not None and len(active) and active[0] > 0:
-            before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
-            moved = float(np.rad2deg(np.linalg.norm(np.array(disturbance.target_joints) - before)))
-        return cls(
-            push, disturbance, failure, outcome.switch_failure, bool(outcome.success), objective, outcome.detection_delay_s,
-            moved, record_hash(record),
-        )  # fmt: skip
+    world, encoder, policy = arguments.world(), Encoder(arguments.encoder_path), Policy(arguments.policy_path)
+    if policy.gamma is None:
+        raise InputError(f"{arguments.policy_path} has no calibration: run diagrams/calibrate.py on it")
+    gamma, sampler = float(policy.gamma), EpisodeSampler(world)
+    seeds = episode_seeds("validation", arguments.seed, arguments.scenes)
+    scenes = [sampler.sample(seed, "none", rnn=policy.name) for seed in seeds]
+    chosen = {"seed": arguments.seed, "scenes": arguments.scenes, "weights": policy.hash, "encoder": encoder.hash}
+    identity = fingerprint(world, "diagrams/hybrid", **chosen)
+    with RowStore(arguments.out / "falsify_trials.jsonl", identity) as store, Pool(arguments.workers) as pool:
 
+        def simulate(episodes: Sequence[Episode]) -> list[tuple[Outcome, Record]]:
+            controller = Controller(arguments.policy_path)
+            jobs = [Job(world, arguments.encoder_path, controller, episode=episode) for episode in episodes]
+            results = {id(job): result for job, result in pool.run(run_episode, jobs)}
+            return [results[id(job)] for job in jobs]
 
-class TrialLog:
-    """The trials of a search on disk, a line each, as they come: a search that was broken off goes on where it was."""
+        def run_trial(perturbation: Perturbation) -> Trial:
+            episode = replace(scenes[perturbation.scene], disturbance=perturbation.disturbance)
+            return Trial.of(perturbation, *simulate([episode])[0], gamma)
 
-    def __init__(self, path: Path, identity: dict[str, Any]):
-        """`identity`: what decides the trials, plain types. Raises InputError where the file is of another search."""
-        self._path, self._known = path, {}
-        head = json.dumps(identity, sort_keys=True)
-        # What a kill left of a last line is no trial.
-        lines = path.read_text().splitlines(keepends=True) if path.is_file() else []
-        whole = [line for line in lines if line.endswith("\n")]
-        if whole and whole[0].rstrip("\n") != head:
-            raise InputError(f"{path} is of another search (other arguments or weights): choose another --out")
-        for line in whole[1:]:
-            entry = json.loads(line)
-            self._known[entry["sampler"], entry["number"]] = _trial(entry["trial"])
-        path.write_text("".join(whole) or head + "\n")
+        def keep(name: str, number: int, trial: Trial) -> None:
+            """Counterexamples are on disk as they come: a search takes long."""
+            if trial.failure is not None:
+                scene, file = scenes[trial.perturbation.scene], file_name(name, number)
+                scenario = scenario_of(world, scene, arguments.rnn, trial.perturbation.disturbance)
+                save_scenario(arguments.out / file, scenario, _comments(arguments, file, trial, policy.hash))
 
-    def get(self, sampler: str, number: int, push: Push) -> Trial | None:
-        """The trial `number` of that sampler, if it is there and of that push."""
-        trial = self._known.get((sampler, number))
-        return trial if trial is not None and trial.push == push else None
-
-    def add(self, sampler: str, number: int, trial: Trial) -> None:
-        """Appends a line."""
-        with self._path.open("a") as file:
-            file.write(json.dumps({"sampler": sampler, "number": number, "trial": asdict(trial)}) + "\n")
-
-
-def _trial(entry: dict[str, Any]) -> Trial:
-    def tuples(fields: dict[str, Any]) -> dict[str, Any]:
-        return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
-
-    push, disturbance = Push(**tuples(entry["push"])), Disturbance(**tuples(entry["disturbance"]))
-    return Trial(**{**entry, "push": push, "disturbance": disturbance})
-
-
-_thread = threading.local()  # a renderer belongs to the thread that made it
-
-
-def _run(world: World, encoder: Path, controller: Controller, episode: Episode) -> tuple[Outcome, Record]:
-    if not hasattr(_thread, "worker"):
-        _thread.worker = Worker(world, encoder)
-    return _thread.worker.rollout(controller).run(episode)
-
-
-class Pool:
-    """Episodes over worker processes, or in one thread of this process (`workers` 1); a context manager."""
-
-    def __init__(self, world: World, encoder: Path, policy: Path, workers: int):
-        import multiprocessing
-
-        self._job = world, encoder, Controller(policy)
-        self._pool: Executor = (
-            ThreadPoolExecutor(1)
-            if workers == 1
-            else ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+        print(f"the undisturbed runs of {len(scenes)} scenes ...", flush=True)
+        nominal = simulate(scenes)
+        for scene, (outcome, _) in zip(scenes, nominal, strict=True):
+            if outcome.switched:
+                raise InputError(
+                    f"the undisturbed run of the scene {scene.seed} already switches: "
+                    "choose another --seed or fewer --scenes"
+                )
+        space = PerturbationSpace(world, scenes, [record for _, record in nominal])
+        found = search_all(space.propose, run_trial, arguments.trials, arguments.seed, store, on_trial=keep)
+        result = report(found, scenes)
+        # The smallest of each sampler again, from its file.
+        cases = {case["sampler"]: case for case in reversed(result["counterexamples"])}
+        files = [arguments.out / case["file"] for case in cases.values()]
+        again = simulate([sampler.episode(load_scenario(file)) for file in files])
+    replayed = {
+        name: {"file": case["file"], "same_failure": outcome.switch_failure == case["failure"],
+               "same_bits": record_hash(record) == case["record_hash"]}
+        for (name, case), (outcome, record) in zip(cases.items(), again, strict=True)
+    }  # fmt: skip
+    undisturbed = [outcome.success for outcome, _ in nominal]
+    arguments.write("falsify", result | {"undisturbed_success": undisturbed, "replayed": replayed})
+    save_search(result["all_trials"], arguments.out / "falsify.png")
+    for name in found:
+        smallest = result["smallest_magnitude"][name]
+        print(
+            f"{name}: first counterexample after {result['trials_to_first'][name]} of {result['trials'][name]} trials, "
+            f"smallest magnitude {'none' if smallest is None else f'{smallest:.3f}'}; {result['failures'][name]}"
         )
-
-    def __enter__(self) -> Pool:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
-
-    def run(self, episodes: Iterable[Episode]) -> list[tuple[Outcome, Record]]:
-        """Waits for the episodes; may be called from several threads."""
-        return [future.result() for future in [self._pool.submit(_run, *self._job, e) for e in episodes]]
+    return 0 if all(case["same_bits"] for case in replayed.values()) else 1
 
 
-def make_sampler(name: str, seed: int):
-    """Optuna's sampler of SAMPLERS."""
-    import optuna
-
-    if name == "tpe":
-        return optuna.samplers.TPESampler(seed=seed)
-    if name == "cmaes":
-        return optuna.samplers.CmaEsSampler(seed=seed)
-    return optuna.samplers.RandomSampler(seed=seed)
+def file_name(sampler: str, number: int) -> str:
+    """Of the scenario file of a counterexample; `number`: of the trial, from 0."""
+    return f"{sampler}-{number + 1}.yaml"
 
 
-def search(
-    sampler,
-    scenes: int,
-    build: Callable[[Push], Disturbance | None],
-    run: Callable[[int, Push, Disturbance], Trial],
-    trials: int,
-) -> list[Trial]:
-    """`trials` simulated pushes in so many scenes, in order, proposed by an Optuna `sampler`; fewer only where it hardly proposes any disturbance.
-
-    `run` is given the trial's number too, from 0.
-    """
-    import optuna
-
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    study = optuna.create_study(sampler=sampler)
-    found: list[Trial] = []
-    for _ in range(ASKS_PER_TRIAL * trials):
-        if len(found) == trials:
-            break
-        ask = study.ask()
-        push = Push.propose(ask.suggest_float, scenes)
-        disturbance = build(push)
-        if disturbance is None:
-            study.tell(ask, 3.0)  # worse than any disturbance
-            continue
-        found.append(run(len(found), push, disturbance))
-        study.tell(ask, found[-1].objective)
-    return found
+def scenario_of(world: World, scene: Episode, rnn: str, disturbance: Disturbance) -> Scenario:
+    """The scenario that gives the scene with this disturbance in full; `rnn`: the network as it was asked for."""
+    can = [float(v) for v in scene.can_xy]
+    return Scenario(rnn, scene.detector, scene.seed, can, scene.vacant, disturbance, world)
 
 
-def search_all(
-    scenes: int,
-    build: Callable[[Push], Disturbance | None],
-    run: Callable[[Push, Disturbance], Trial],
-    trials: int,
-    seed: int,
-    log: TrialLog,
-    samplers: Iterable[str] = SAMPLERS,
-    on_trial: Callable[[str, int, Trial], object] = lambda name, number, trial: None,
-) -> dict[str, list[Trial]]:
-    """One search for each of `samplers`, each with `trials` of its own, at the same time (`run` is called from several threads).
-
-    Each search's course depends on its seed alone, not on the others'. Trials that are in the log are not run again. `on_trial` is called after
-    each trial with its number, from 0, one call at a time.
-    """
-    from tqdm import tqdm
-
-    samplers, found, errors = tuple(samplers), {}, []
-    lock = threading.Lock()
-    with tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None) as bar:
-
-        def guarded_build(push: Push) -> Disturbance | None:
-            with lock:
-                return build(push)
-
-        def one(name: str) -> None:
-            def known_or_run(number: int, push: Push, disturbance: Disturbance) -> Trial:
-                trial = log.get(name, number, push)
-                new = run(push, disturbance) if trial is None else trial
-                with lock:
-                    if trial is None:
-                        log.add(name, number, new)
-                    bar.update()
-                    on_trial(name, number, new)
-                return new
-
-            try:
-                # Seeds of their own: TPE begins as random search does.
-                sampler = make_sampler(name, len(SAMPLERS) * seed + SAMPLERS.index(name))
-                found[name] = search(sampler, scenes, guarded_build, known_or_run, trials)
-            except Exception as error:
-                errors.append(error)
-
-        threads = [threading.Thread(target=one, args=(name,)) for name in samplers]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    if errors:
-        raise errors[0]
-    return {name: found[name] for name in samplers}
+def _comments(arguments: Falsify, file: str, trial: Trial, weights_hash: str) -> list[str]:
+    """What the scenario file of a counterexample says of itself."""
+    perturbation = trial.perturbation
+    weights = "" if arguments.weights == WEIGHTS else " --weights DIR"
+    return [
+        f"{trial.failure}: {perturbation.form}, {trial.moved_deg:.1f} deg, {perturbation.ticks} ticks, "
+        f"in subtask {perturbation.disturbance.subtask}",
+        f"{arguments.policy_path.name} with the hash {weights_hash[:16]}; record {trial.record_hash[:16]}",
+        f"python diagrams/pick_place.py --scenario {file}{weights}",
+    ]
 
 
-def scenario_of(world: World, scene: Episode, disturbance: Disturbance) -> Scenario:
-    """The scenario that gives the scene with this disturbance in full."""
-    moved = disturbance.can_moved_to
-    return Scenario(
-        rnn=scene.rnn,
-        detector=scene.detector,
-        disturbance=disturbance.kind,
-        seed=scene.seed,
-        can=[float(v) for v in scene.can_xy],
-        vacant=scene.vacant,
-        experimenter=Disturbance(
-            level=disturbance.level,
-            subtask=disturbance.subtask,
-            target=None if disturbance.target_joints is None else list(disturbance.target_joints),
-            hold_ticks=disturbance.hold_ticks,
-            can_moved_to=None if moved is None else list(moved),
+def report(found: dict[str, list[Trial]], scenes: list[Episode]) -> dict:
+    """Plain types: the counterexamples, smallest first; what each sampler reached; all trials."""
+    all_trials = {name: [_plain(name, n, t, scenes) for n, t in enumerate(trials)] for name, trials in found.items()}
+    counterexamples = [case for cases in all_trials.values() for case in cases if case["failure"] is not None]
+
+    def of_each(measure) -> dict:
+        return {name: measure(trials) for name, trials in found.items()}
+
+    return {
+        "scenes": [
+            {"seed": scene.seed, "can_xy": list(scene.can_xy), "vacant": scene.vacant, "rnn": scene.rnn}
+            for scene in scenes
+        ],
+        "trials": of_each(len),
+        "trials_to_first": of_each(lambda trials: next((n for n, t in enumerate(trials, 1) if t.failure), None)),
+        "smallest_magnitude": of_each(
+            lambda trials: min((t.perturbation.magnitude for t in trials if t.failure), default=None)
         ),
-        world=world,
-    )
+        "failures": of_each(lambda trials: {kind: sum(t.failure == kind for t in trials) for kind in DEFEATS}),
+        "forms": of_each(lambda trials: {form: sum(t.perturbation.form == form for t in trials) for form in FORMS}),
+        "undetected_but_done": of_each(
+            lambda trials: sum(t.switch_failure == "not detected" and t.task_done for t in trials)
+        ),
+        "counterexamples": sorted(counterexamples, key=lambda case: (case["magnitude"], case["file"])),
+        "all_trials": all_trials,
+    }
+
+
+def _plain(name: str, number: int, trial: Trial, scenes: list[Episode]) -> dict:
+    perturbation = trial.perturbation
+    return asdict(trial) | {
+        "sampler": name,
+        "trial": number + 1,
+        "file": None if trial.failure is None else file_name(name, number),
+        "scene": scenes[perturbation.scene].seed,
+        "form": perturbation.form,
+        "length_ticks": perturbation.ticks,
+        "magnitude": perturbation.magnitude,
+    }

@@ -1,104 +1,86 @@
 """The guard surface alpha = 1/2, cut by two directions of posture displacement.
 
-At a moment of an undisturbed run the whole state of the hybrid system is cloned, the arm is displaced by a u + b v at once, and the real closed
-loop (camera, networks, detector, physics) runs on for a few ticks. The largest alpha of those ticks says in which mode that ends: `task` or
-`return`. Displacements that put the arm into the scene are left out.
+At a moment of an undisturbed run the whole state of the hybrid system is cloned, the arm is displaced by a u + b v at
+once, and the real closed loop (camera, networks, detector, physics) runs on for a few ticks. The largest alpha of those
+ticks says in which mode that ends: `task` or `return`. Displacements that put the arm into the scene are left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.systems.framework import Context
 
-from diagrams.episodes.episode import Episode
-from diagrams.episodes.rollout import Rollout
-from diagrams.episodes.switching import GUARD as GUARD
-from diagrams.world.collisions import CollisionChecker
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
+from diagrams.episodes.switching import GUARD
+from diagrams.hybrid.common import NetworkArguments
+from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
 
 BISECTIONS = 20
 
 
-class GuardProbe:
-    """alpha after a displacement of the arm, at one moment of one undisturbed episode."""
+@dataclass
+class Guard(NetworkArguments):
+    """The surface alpha = 1/2 over two directions of posture displacement."""
 
-    def __init__(self, rollout: Rollout, episode: Episode, level: float, ticks: int):
-        """Runs `episode` until the hand is nearer to the can than `level` (m), and keeps that state.
+    grid: int = 41  # points a side, odd
+    joints: tuple[int, int] = (1, 4)  # the two directions
+    reach: float = 20.0  # deg, to either side
+    level: float = 0.20  # the moment: the hand is so near to the can, m
+    ticks: int = 3  # from the displacement on, over which the largest alpha is taken
+    rays: int = 16  # along which points are bisected
 
-        `ticks`: over how many the largest alpha is taken. Raises InputError where the moment does not come within 30 s, or alpha is high before.
-        """
-        self._rollout, self._ticks = rollout, ticks
-        self._period = rollout.world.timing.period
-        # Half a plant step before a tick: later in the tick the servo would draw the arm back before its posture is sampled.
-        self._before = 0.5 * rollout.world.timing.time_step
-        rollout.prepare(episode)
-        station, simulator = rollout.station, rollout.simulator
-        context = simulator.get_mutable_context()
-        distance = station.GetOutputPort("approach_distance")
-        for k in range(round(30.0 / self._period)):
-            simulator.AdvanceTo((k + 1) * self._period - self._before)
-            if self._alpha(context) >= GUARD:
-                raise InputError(
-                    f"the run is in mode return {context.get_time():.1f} s after its start: choose another --seed"
-                )
-            if distance.Eval(station.GetMyContextFromRoot(context))[0] < level:
-                break
-        else:
-            raise InputError(f"the hand does not come within {level} m of the can in 30 s: choose a larger --level")
-        self.tick = k
-        self._kept = context.Clone()
-        plant_context = station.plant.GetMyContextFromRoot(self._kept)
-        self.joints = station.plant.GetPositions(plant_context, station.arm).copy()
-        self._clearance = CollisionChecker(gap=0.0)
-        can = station.GetOutputPort("can_poses").Eval(station.GetMyContextFromRoot(self._kept))
-        if can[6] > 1.5 * CAN_HALF_HEIGHT:
-            raise InputError(f"{CANS[0]} is already in the hand {level} m before it: choose a larger --level")
-        self._clearance.set_scene(can[4:6], episode.vacant)
-        self._lower = station.plant.GetPositionLowerLimits()[:ARM_JOINTS]
-        self._upper = station.plant.GetPositionUpperLimits()[:ARM_JOINTS]
+    LEAST: ClassVar[dict[str, int]] = {"grid": 3, "ticks": 1, "rays": 1}
 
-    def possible(self, displacement: np.ndarray) -> bool:
-        """Whether the arm, displaced by `displacement` (7, rad), is within its limits and touches nothing."""
-        joints = self.joints + displacement
-        return bool(
-            np.all(joints >= self._lower)
-            and np.all(joints <= self._upper)
-            and self._clearance.first_touch(joints) is None
-        )
 
-    def __call__(self, displacement: np.ndarray) -> tuple[float, float]:
-        """Largest alpha and largest error l_n / r_n over the ticks after a displacement (7, rad)."""
-        simulator, station = self._rollout.simulator, self._rollout.station
-        simulator.reset_context(self._kept.Clone())
-        context = simulator.get_mutable_context()
-        plant_context = station.plant.GetMyMutableContextFromRoot(context)
-        station.plant.SetPositions(plant_context, station.arm, self.joints + displacement)
-        alphas, errors = [], []
-        errors_port = self._rollout.controller.GetOutputPort("errors")
-        for k in range(1, self._ticks + 1):
-            simulator.AdvanceTo((self.tick + k + 1) * self._period - self._before)
-            alphas.append(self._alpha(context))
-            errors.append(np.max(errors_port.Eval(self._rollout.controller.GetMyContextFromRoot(context))))
-        return max(alphas), float(max(errors))
+def run(arguments: Guard) -> int:
+    """Scans a grid and bisects along rays; returns 0 if both agree within the grid's resolution, else 1."""
+    from tqdm import tqdm
 
-    def _alpha(self, context: Context) -> float:
-        controller = self._rollout.controller
-        return float(controller.GetOutputPort("alpha").Eval(controller.GetMyContextFromRoot(context))[0])
+    from diagrams.drawing.guard import save_guard
+    from diagrams.episodes.sampling import EpisodeSampler
+    from diagrams.hybrid.guard_probe import GuardProbe
+
+    if arguments.grid % 2 == 0:
+        raise InputError(f"--grid {arguments.grid} is even, so that 0 would not be on it: choose an odd number")
+    if len(set(arguments.joints)) != 2 or not all(1 <= joint <= ARM_JOINTS for joint in arguments.joints):
+        raise InputError(f"--joints {arguments.joints} are not two different joints: choose from 1 to {ARM_JOINTS}")
+    world = arguments.world()
+    rollout = arguments.rollout(world)
+    episode = EpisodeSampler(world).sample(arguments.seed, "none", rnn=rollout.policy.name)
+    probe = GuardProbe(rollout, episode, arguments.level, arguments.ticks)
+    directions, reach = np.eye(ARM_JOINTS)[[joint - 1 for joint in arguments.joints]], arguments.reach
+    with tqdm(total=arguments.grid**2, desc="grid", unit="point", disable=None) as bar:
+        grid = scan(probe, directions, reach, arguments.grid, bar.update)
+    angles = 2 * np.pi * np.arange(arguments.rays) / arguments.rays
+    bar = tqdm(angles, desc="bisection", unit="ray", disable=None)
+    points = [point for angle in bar if (point := bisect(probe, directions, reach, angle)) is not None]
+    gamma = float(rollout.policy.gamma)
+    setting = {name: getattr(arguments, name) for name in ("joints", "level", "ticks")}
+    found = report(grid, points, gamma) | setting | {"gamma": gamma, "tick_of_the_run": probe.tick}
+    arguments.write("guard", found)
+    title = f"alpha over {arguments.ticks} ticks after a displacement, {arguments.level:.2f} m before the can"
+    save_guard(found, f"{title} (seed {arguments.seed})", arguments.out / "guard.png")
+    if not points:
+        print(f"no ray leaves mode task within {reach} deg: choose a larger --reach")
+        return 1
+    print(
+        f"{len(points)} points of the surface, {found['smallest_detected_deg']:.2f} to "
+        f"{found['largest_on_surface_deg']:.2f} deg from no displacement; off the grid's by at most "
+        f"{found['bisection_error']:.3f} deg (resolution {found['resolution']:.3f})"
+    )
+    return 0 if holds(found) else 1
 
 
 @dataclass(frozen=True)
 class GuardGrid:
-    """What was found: coordinates (n,), deg; `alpha`, `error` (n, n), row by the second coordinate, NaN where the arm cannot be."""
+    """alpha and the error over the displacements, row by the second coordinate, NaN where the arm cannot be."""
 
-    coordinates: np.ndarray
-    alpha: np.ndarray
-    error: np.ndarray
+    coordinates: np.ndarray  # (n,) deg
+    alpha: np.ndarray  # (n, n)
+    error: np.ndarray  # (n, n)
 
     @property
     def resolution(self) -> float:
@@ -114,7 +96,8 @@ def scan(
     Args:
         probe: see GuardProbe (`possible(displacement)`, `probe(displacement) -> (alpha, error)`).
         directions: (2, 7) unit vectors.
-        reach: the coordinates go from -reach to reach, deg; count: points a side, odd, so that 0 is among them.
+        reach: the coordinates go from -reach to reach, deg.
+        count: points a side, odd, so that 0 is among them.
         on_point: called after each point.
     """
     coordinates = np.linspace(-reach, reach, count)
@@ -129,12 +112,14 @@ def scan(
 
 
 def bisect(probe, directions: np.ndarray, reach: float, angle: float) -> np.ndarray | None:
-    """(2,) deg: a point of the guard surface on the ray at `angle` (rad) from no displacement; None where its end is no place for the arm
-    or is in mode `task`."""
+    """(2,) deg: a point of the guard surface on the ray at `angle` (rad) from no displacement.
+
+    None where the ray's end is no place for the arm, or is in mode `task`.
+    """
     ray = np.array([np.cos(angle), np.sin(angle)])
     ray *= reach / np.max(np.abs(ray))
     high = 1.0
-    # The ray's last possible point: with what the arm would touch or be stopped by beyond it, only what is before counts.
+    # The ray's last possible point: beyond what the arm would touch or be stopped by, nothing counts.
     shares = np.linspace(0.0, 1.0, 41)
     possible = [probe.possible(np.deg2rad(share * ray) @ directions) for share in shares]
     if not all(possible):
@@ -152,7 +137,7 @@ def bisect(probe, directions: np.ndarray, reach: float, angle: float) -> np.ndar
 
 
 def contour(grid: GuardGrid, gamma: float) -> list[np.ndarray]:
-    """The guard surface as the grid has it: lines (n, 2), deg, interpolated between its points (alpha = 1/2 where the error is `gamma`)."""
+    """The guard surface as the grid has it: lines (n, 2), deg, where the error is `gamma` (alpha = 1/2)."""
     from contourpy import contour_generator
 
     values = np.ma.masked_invalid(np.log(np.maximum(grid.error, 1e-9) / gamma))
@@ -172,15 +157,14 @@ def boundary_distance(lines: list[np.ndarray], point: np.ndarray) -> float:
 
 
 def report(grid: GuardGrid, points: list[np.ndarray], gamma: float) -> dict:
-    """Resolution, share of the modes and the bisected points' distance to the grid's surface, deg; plain types."""
+    """The grid, the share of the modes, and the bisected points' distance to the grid's surface, deg; plain types."""
     lines = contour(grid, gamma)
     distances = [boundary_distance(lines, point) for point in points]
     known = np.isfinite(grid.alpha)
-    task = grid.alpha[known] < GUARD
     sizes = [float(np.linalg.norm(point)) for point in points]
     return {
         "resolution": grid.resolution,
-        "bisection_error": max(distances) if distances else None,
+        "bisection_error": max(distances, default=None),
         "bisected_points_deg": [point.tolist() for point in points],
         "bisection_errors": distances,
         "bisection_precision": float(grid.coordinates[-1] * np.sqrt(2) / 2**BISECTIONS),
@@ -188,46 +172,13 @@ def report(grid: GuardGrid, points: list[np.ndarray], gamma: float) -> dict:
         "largest_on_surface_deg": max(sizes, default=None),
         "points": int(grid.alpha.size),
         "impossible": int(np.sum(~known)),
-        "share_task": float(np.mean(task)) if known.any() else None,
+        "share_task": float(np.mean(grid.alpha[known] < GUARD)) if known.any() else None,
+        "coordinates_deg": grid.coordinates.tolist(),
+        "alpha": grid.alpha.tolist(),
+        "errors": grid.error.tolist(),
     }
 
 
 def holds(found: dict) -> bool:
     """Whether the bisected points agree with the grid within its resolution."""
     return found["bisection_error"] is not None and found["bisection_error"] <= found["resolution"]
-
-
-def save_guard(
-    grid: GuardGrid, points: list[np.ndarray], labels: tuple[str, str], gamma: float, title: str, path: Path
-) -> None:
-    """The filled contours of the largest error over gamma (alpha = 1/2 where it is 1), the modes' regions and the bisected points."""
-    from diagrams.drawing.style import BLUE, RED, new_figure, save
-
-    figure, axis = new_figure(figsize=(7.6, 6.2))
-    x = grid.coordinates
-    values = np.ma.masked_invalid(np.log10(np.maximum(grid.error, 1e-9) / gamma))
-    reach = max(float(np.abs(values).max()) if values.count() else 1.0, 0.1)
-    filled = axis.contourf(x, x, values, levels=np.linspace(-reach, reach, 25), cmap="RdBu_r")
-    figure.colorbar(filled, ax=axis, label=r"$\log_{10}\,\max_n (l_n/r_n)\,/\,\gamma$")
-    if values.count() and values.min() < 0 < values.max():
-        axis.contour(x, x, values, levels=[0.0], colors="k", linewidths=1.8)
-    for mode, colour in (("task", BLUE), ("return", RED)):
-        chosen = np.isfinite(grid.alpha) & ((grid.alpha < GUARD) if mode == "task" else (grid.alpha >= GUARD))
-        if chosen.any():
-            # The point of the region that is farthest from everything else, and from the frame, carries the name.
-            inside, others = np.argwhere(chosen), np.argwhere(~np.pad(chosen, 1)) - 1
-            far = [np.min(np.linalg.norm(others - point, axis=1)) for point in inside]
-            j, i = inside[int(np.argmax(far))]
-            axis.text(
-                x[i], x[j], mode, ha="center", va="center", color=colour, fontsize=13, weight="bold",
-                bbox={"facecolor": "white", "alpha": 0.75, "lw": 0, "pad": 2},
-            )  # fmt: skip
-    if points:
-        axis.plot(*np.array(points).T, "o", color="k", mfc="yellow", ms=5, label=r"$\alpha = 1/2$ by bisection")
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), fontsize=8)
-    axis.set_facecolor("0.85")  # where the arm cannot be
-    axis.set_xlabel(labels[0])
-    axis.set_ylabel(labels[1])
-    axis.set_aspect("equal")
-    axis.set_title(title, fontsize=10)
-    save(figure, path)

@@ -6,13 +6,39 @@ from dataclasses import asdict, dataclass
 
 from pydrake.systems.framework import Context, Diagram, System
 
+from diagrams.hybrid.common import NetworkArguments
+
 KINDS = ("continuous", "discrete", "abstract")
+
+
+@dataclass
+class States(NetworkArguments):
+    """Every state of the hybrid system, and that they are all; and the graph of the diagram."""
+
+
+def run(arguments: States) -> int:
+    """Lists the states; returns 0 if their sums are those of the root Context, else 1."""
+    from diagrams.drawing.graph import save_graph
+    from diagrams.episodes.sampling import EpisodeSampler
+
+    world = arguments.world()
+    rollout = arguments.rollout(world)
+    rollout.prepare(EpisodeSampler(world).sample(arguments.seed, "none", rnn=rollout.policy.name))
+    found = report(rollout.diagram, rollout.simulator.get_context())
+    arguments.write("states", found)
+    for form in ("svg", "png"):
+        save_graph(rollout.diagram, arguments.out / f"graph.{form}")
+    print(table(found))
+    return 0 if found["agree"] else 1
 
 
 @dataclass(frozen=True)
 class State:
-    """One state: `owner` is the system's path in the root Diagram; `size` in numbers (continuous, discrete) or 1 (an abstract value);
-    `period` s, None where the system declares no single one; `index`: among the owner's states of that kind."""
+    """One state: `owner` is the system's path in the root Diagram, `index` counts the owner's states of that kind.
+
+    `size`: numbers of a continuous or discrete state, 1 for an abstract one; `period`: s, None where the system
+    declares no single one.
+    """
 
     owner: str
     system: str
@@ -49,19 +75,14 @@ def _collect(system: System, root: Context, path: str, found: list[State]) -> No
 def report(diagram: Diagram, context: Context) -> dict:
     """The list, its sums, those of the root Context, and whether they agree; plain types."""
     states = inventory(diagram, context)
-
-    def total(kind: str) -> int:
-        return sum(state.size for state in states if state.kind == kind)
-
-    sums = {kind: total(kind) for kind in KINDS} | {
-        "discrete_groups": sum(state.kind == "discrete" for state in states)
-    }
-    groups = range(context.num_discrete_state_groups())
+    sums = {kind: sum(state.size for state in states if state.kind == kind) for kind in KINDS}
+    sums["discrete_groups"] = sum(state.kind == "discrete" for state in states)
+    groups = context.num_discrete_state_groups()
     root = {
         "continuous": context.num_continuous_states(),
-        "discrete": sum(context.get_discrete_state(i).size() for i in groups),
+        "discrete": sum(context.get_discrete_state(i).size() for i in range(groups)),
         "abstract": context.num_abstract_states(),
-        "discrete_groups": context.num_discrete_state_groups(),
+        "discrete_groups": groups,
     }
     return {"states": [asdict(state) for state in states], "sums": sums, "root_context": root, "agree": sums == root}
 
@@ -70,10 +91,9 @@ def table(found: dict) -> str:
     """The report as lines for people."""
     rows = [("owner", "system", "kind", "size", "period (s)")]
     for s in found["states"]:
-        rows.append(
-            (s["owner"], s["system"], s["kind"], str(s["size"]), "" if s["period"] is None else f"{s['period']:g}")
-        )
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+        period = "" if s["period"] is None else f"{s['period']:g}"
+        rows.append((s["owner"], s["system"], s["kind"], str(s["size"]), period))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     sums = ", ".join(f"{found['sums'][kind]} {kind}" for kind in KINDS)
     verdict = "agrees" if found["agree"] else "does not agree"

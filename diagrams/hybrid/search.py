@@ -1,0 +1,142 @@
+"""Searches for the smallest perturbation that defeats the controller: Optuna's samplers with the same budget."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from diagrams.episodes.episode import Outcome
+from diagrams.episodes.record import Record, record_hash
+from diagrams.episodes.store import RowStore
+from diagrams.hybrid.perturbations import Perturbation, judge
+from diagrams.world.disturbance import Disturbance
+from diagrams.world.names import ARM_JOINTS
+
+SAMPLERS = ("tpe", "cmaes", "random")
+ASKS_PER_TRIAL = 50  # proposals that are no perturbation are told so; after that many a search gives up
+
+Propose = Callable[[Any], Perturbation | None]  # see PerturbationSpace.propose
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of one simulated perturbation."""
+
+    perturbation: Perturbation
+    failure: str | None  # one of DEFEATS, or None
+    switch_failure: str | None
+    task_done: bool
+    objective: float
+    detection_delay_s: float | None
+    moved_deg: float  # norm of the move from the command at the onset, as it came
+    record_hash: str
+
+    @classmethod
+    def of(cls, perturbation: Perturbation, outcome: Outcome, record: Record, gamma: float) -> Trial:
+        """`gamma`: the threshold of the record's errors."""
+        failure, objective = judge(perturbation, outcome, record, float(record.time[1] - record.time[0]), gamma)
+        moved, target = 0.0, perturbation.disturbance.target
+        active = np.flatnonzero(record.active)
+        if target is not None and len(active) and active[0] > 0:
+            before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
+            moved = float(np.rad2deg(np.linalg.norm(np.array(target) - before)))
+        done, delay = bool(outcome.success), outcome.detection_delay_s
+        return cls(perturbation, failure, outcome.switch_failure, done, objective, delay, moved, record_hash(record))
+
+    @classmethod
+    def of_row(cls, row: dict[str, Any]) -> Trial:
+        """From a row of the store: what `asdict` made of a trial."""
+        given = row["perturbation"]
+        perturbation = Perturbation(**given | {"disturbance": Disturbance(**given["disturbance"])})
+        return cls(**row | {"perturbation": perturbation})
+
+
+def make_sampler(name: str, seed: int):
+    """Optuna's sampler of SAMPLERS."""
+    from optuna import samplers
+
+    classes = {"tpe": samplers.TPESampler, "cmaes": samplers.CmaEsSampler, "random": samplers.RandomSampler}
+    # Seeds of their own: TPE begins as random search does.
+    return classes[name](seed=len(SAMPLERS) * seed + SAMPLERS.index(name))
+
+
+def search(sampler, propose: Propose, run: Callable[[int, Perturbation], Trial], trials: int) -> list[Trial]:
+    """`trials` simulated perturbations, in order; fewer only where the Optuna `sampler` hardly proposes any.
+
+    `run` is given the trial's number too, from 0.
+    """
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = optuna.create_study(sampler=sampler)
+    found: list[Trial] = []
+    for _ in range(ASKS_PER_TRIAL * trials):
+        if len(found) == trials:
+            break
+        ask = study.ask()
+        perturbation = propose(ask.suggest_float)
+        if perturbation is None:
+            study.tell(ask, 3.0)  # worse than any perturbation
+            continue
+        found.append(run(len(found), perturbation))
+        study.tell(ask, found[-1].objective)
+    return found
+
+
+def search_all(
+    propose: Propose,
+    run: Callable[[Perturbation], Trial],
+    trials: int,
+    seed: int,
+    store: RowStore,
+    samplers: Iterable[str] = SAMPLERS,
+    on_trial: Callable[[str, int, Trial], object] = lambda name, number, trial: None,
+) -> dict[str, list[Trial]]:
+    """One search for each of `samplers`, each with `trials` of its own, at the same time.
+
+    `run` is called from several threads. Each search's course depends on its seed alone, not on the others'. Trials
+    that are in the store are not run again. `on_trial` is called after each trial with its number, from 0, one call at
+    a time.
+    """
+    from tqdm import tqdm
+
+    samplers, found, errors = tuple(samplers), dict[str, list[Trial]](), list[Exception]()
+    lock = threading.Lock()
+
+    def guarded(suggest: Any) -> Perturbation | None:
+        with lock:
+            return propose(suggest)
+
+    with tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None) as bar:
+
+        def one(name: str) -> None:
+            def known_or_run(number: int, perturbation: Perturbation) -> Trial:
+                key = f"{name} {number}"
+                known = store.rows.get(key)
+                trial = None if known is None else Trial.of_row(known)
+                if trial is None or trial.perturbation != perturbation:
+                    trial, known = run(perturbation), None
+                with lock:
+                    if known is None:
+                        store.add(key, asdict(trial))
+                    bar.update()
+                    on_trial(name, number, trial)
+                return trial
+
+            try:
+                found[name] = search(make_sampler(name, seed), guarded, known_or_run, trials)
+            except Exception as error:
+                errors.append(error)
+
+        threads = [threading.Thread(target=one, args=(name,)) for name in samplers]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    if errors:
+        raise errors[0]
+    return {name: found[name] for name in samplers}

@@ -1,0 +1,96 @@
+"""The pictures of the analyses, from numbers made by hand: their words, and what is drawn."""
+
+import numpy as np
+import pytest
+
+from diagrams.drawing import automaton, falsification, guard, return_certificate, spectra
+
+
+@pytest.fixture
+def drawn(tmp_path, monkeypatch):
+    """Draws into a file; returns its words and the figure."""
+
+    def draw(module, function, *arguments):
+        figures, save = [], module.save
+        monkeypatch.setattr(module, "save", lambda figure, path: figures.append(figure) or save(figure, path))
+        path = tmp_path / "new" / "picture.svg"
+        getattr(module, function)(*arguments, path)
+        return path.read_text(), figures[0].axes
+
+    return draw
+
+
+def test_automaton(drawn):
+    stays = [
+        {"mode": "task", "start": 0.0, "end": 3.0, "complete": False},
+        {"mode": "return", "start": 3.0, "end": 5.0, "complete": True},
+    ]
+    report = {
+        "runs": 2, "max_crossings_per_second": 1, "transitions": {"task->return": 7, "return->task": 6},
+        "dwell_seconds": {"task": {"count": 0}, "return": {"count": 4, "min": 1.0, "median": 2.0, "max": 3.5}},
+        "sequences": [{"name": "first", "outcome": "done", "modes": stays},
+                      {"name": "second", "outcome": "time", "modes": stays[:1]}],
+    }  # fmt: skip
+    words, (_, right) = drawn(automaton, "save_automaton", report)
+    for word in ("7 times: recall fails", "6 times: recalls again", "1.0 / 2.0 / 3.5 s", "stays: 4", "second (time)"):
+        assert word in words
+    bars = [(bar.get_x(), bar.get_width(), bar.get_y() + bar.get_height() / 2) for bar in right.patches]
+    assert np.array(bars) == pytest.approx(np.array([(0.0, 3.0, 0), (3.0, 2.0, 0), (0.0, 3.0, 1)]))
+
+
+def test_spectra(drawn):
+    eigenvalues, norms = [[1.05, 0.0], [0.0, 0.5]], 1e-5 * 1.05 ** np.arange(60)
+    words, (left, right) = drawn(spectra, "save_spectra", [("lstm, subtask 1", eigenvalues, [norms, norms[:50]])])
+    assert "lstm, subtask 1: spectral radius 1.0500" in words
+    assert left.lines[-1].get_xydata().tolist() == [[1.05, 0.0]]  # what is outside of the circle is marked
+    assert right.lines[-1].get_ydata() == pytest.approx(norms[30:])  # predicted
+
+
+def test_guard(drawn):
+    x = np.linspace(-10, 10, 5)
+    errors = np.hypot(*np.meshgrid(x, x)) + 0.1
+    errors[0, 0] = np.nan
+    report = {
+        "coordinates_deg": x.tolist(), "errors": errors.tolist(),
+        "alpha": np.where(errors > 6, 1.0, errors * 0).tolist(),
+        "gamma": 6.0, "bisected_points_deg": [[6.0, 0.0]], "joints": (1, 4),
+    }  # fmt: skip
+    words, axes = drawn(guard, "save_guard", report, "the title")
+    for word in ("the title", "displacement of joint 4 (deg)", "task", "return"):
+        assert f"<!-- {word} -->" in words
+    names = {text.get_text(): text.get_position() for text in axes[0].texts}
+    assert names["task"] == (0.0, 0.0)
+    report["bisected_points_deg"] = []
+    assert "bisection" not in drawn(guard, "save_guard", report, "the title")[0]
+
+
+def test_falsification(drawn):
+    def trial(objective, failure, moved):
+        return {"objective": objective, "failure": failure, "moved_deg": moved, "length_ticks": 9}
+
+    trials = {"tpe": [trial(1.5, None, 4.0), trial(0.4, "not returned", 20.0), trial(1.2, None, 5.0)], "random": []}
+    words, (left, right) = drawn(falsification, "save_search", trials)
+    for word in ("withstood (2)", "not returned (1)", "not resumed (0)", "tpe", "random"):
+        assert word in words
+    assert left.lines[0].get_ydata().tolist() == [1.5, 0.4, 0.4]
+    assert right.lines[0].get_xydata().tolist() == [[4.0, 9.0], [5.0, 9.0]]
+
+
+def test_certificate(drawn):
+    data = {
+        "values": [np.array([1.0, 0.8, 0.5]), np.array([0.9, 0.6])], "level": 2.0, "rate": 0.9,
+        "at_home": 0.1, "period": 0.1,
+        "home": np.zeros(3), "grid": (np.array([0.4, -0.1]), np.array([0.6, 0.1])),
+        "inside": {"hands": np.eye(3), "touches": [None, "desk", None]},
+        "outside": {"hands": np.ones((1, 3)), "touches": ["shelf"], "failed": np.array([True])},
+    }  # fmt: skip
+    words, (left, above, side) = drawn(return_certificate, "save_certificate", data)
+    for word in ("trajectories home from 2 postures", "inside, clear (2)", "inside, path touches desk (1)",
+                 "outside, path touches shelf (1)", "outside, fails (1)"):  # fmt: skip
+        assert word in words
+    assert left.lines[0].get_ydata() == pytest.approx([0.475, 0.35, 0.25])  # the median
+    assert left.lines[1].get_ydata() == pytest.approx([1.0, 0.9, 0.81])  # certified
+    assert side.lines[1].get_xydata().tolist() == [[1.0, 0.0], [0.0, 1.0]]
+    assert above.lines[1].get_xydata().tolist() == [[1.0, 0.0], [0.0, 0.0]]
+    nothing = {"hands": np.zeros((0, 3)), "touches": [], "failed": np.zeros(0, bool)}
+    assert "outside, fails (0)" in drawn(return_certificate, "save_certificate", data | {"outside": nothing})[0]
