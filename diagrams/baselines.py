@@ -1,303 +1,150 @@
-"""Fits and calibrates the two baselines of Table II, kNN and the subspace method, for trained networks.
+"""Fits and calibrates the detectors that learn from runs, the two baselines of Table II among them.
 
     python diagrams/baselines.py --policies models/weights/lstm*.safetensors --data demonstrations.h5
 
-1. Windows of each joint from the training demonstrations in --data; without it from undisturbed runs of the networks (detector off).
-2. Mean errors: over undisturbed validation episodes that were finished, detector off; the episodes that calibrate.py uses.
-3. gamma: where most of the validation runs, undisturbed and disturbed, are judged right.
-4. Trials in closed loop on validation episodes: that gamma times each factor with the first beta, then the best with the other betas; what
-   switches right most often is taken.
+1. Each detector learns from the training demonstrations in --data.
+2. Mean errors and gamma come from validation episodes with the detector off: see by_count in
+   diagrams/episodes/thresholds.py.
+3. Trials in closed loop on validation episodes: that gamma times each factor with the first beta, then the best with
+   the other betas; what switches right most often is taken.
 
-Writes knn.safetensors and subspace.safetensors beside the networks, after each network; the same command goes on after a kill, and one with
-more policies adds them. Exit code 2: bad input.
+Writes a file a detector (knn.safetensors, ...) beside the networks, after each network; the same command goes on after
+a kill, and one with more policies adds them. Exit code 2: bad input.
 """
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from collections.abc import Callable, Sequence
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tyro
 
-from diagrams.episodes.calibration import Calibration, make_window_detector, never_fires
-from diagrams.episodes.episode import Outcome
-from diagrams.episodes.pool import Job, run_jobs
-from diagrams.episodes.record import Record, stretches
-from diagrams.episodes.sampling import episode_seeds
-from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
-from diagrams.world.names import ARM_JOINTS, DISTURBANCES, WEIGHTS
+from diagrams.world.names import ARM_JOINTS, DISTURBANCES, ENCODER, WEIGHTS
+from models.command_line import run
 from models.errors import InputError
-from models.files.baselines import (
-    METHODS,
-    WINDOW,
-    StoredDetector,
-    leading_axes,
-    load_detector,
-    posture_windows,
-    save_detector,
-    stored_as,
-)
-from models.files.weights import WeightsError
+from systems.detectors import DETECTORS
+
+if TYPE_CHECKING:
+    from diagrams.episodes.validation import Validation
+    from models.files.detectors import StoredDetector
+
+NOTED = ("seed", "episodes", "disturbed", "trials", "factors", "betas")  # arguments that decide what is written
 
 
 @dataclass
 class BaselinesArguments:
     """Command line of baselines.py."""
 
-    policies: list[Path]  # calibrated policy files, all in one folder
-    data: Path | None = None  # demonstrations of diagrams/teach.py
-    method: list[str] = field(default_factory=lambda: list(METHODS))  # knn, subspace
-    encoder: Path = WEIGHTS / "cae.safetensors"
-    fit_episodes: int = 50  # undisturbed runs of each network to fit from, without --data
+    policies: list[Path]  # policy files, all in one folder
+    data: Path  # demonstrations of diagrams/teach.py
+    # names of detectors, or package.module:Class
+    detector: list[str] = field(default_factory=lambda: [name for name in DETECTORS if name != "recall"])
+    scenario: Path | None = None  # YAML file whose world the episodes run in
+    encoder: Path = WEIGHTS / ENCODER  # autoencoder file
     episodes: int = 20  # undisturbed validation episodes, as many as calibrate.py runs
     disturbed: int = 24  # validation episodes of each of A and B, as many as calibrate.py runs
     trials: int = 6  # validation episodes of each of none, A and B in closed loop, for each gamma and beta
-    factors: list[float] = field(default_factory=lambda: [1.0, 0.5, 0.25, 2.0])  # of gamma; the first wins a draw
-    betas: list[float] = field(default_factory=lambda: [30.0, 10.0, 100.0])  # the first wins a draw
-    seed: int = 0
-    workers: int = 2
+    factors: list[float] = field(default_factory=lambda: [1.0, 0.5, 0.25, 2.0])  # of gamma; the first of the best wins
+    betas: list[float] = field(default_factory=lambda: [30.0, 10.0, 100.0])  # the first of the best wins
+    seed: int = 0  # 0 to 99: which validation episodes
+    workers: int = 2  # processes
 
 
-@dataclass(frozen=True)
-class Trace:
-    """What the arm did in one run: angles (ticks, 7) rad; the ticks before the onset, and from it to the end of the disturbance + 5."""
-
-    kind: str
-    success: bool | None  # None: not asked for
-    angles: np.ndarray
-    before: slice
-    after: slice
-
-
-def digest_trace(job: Job, outcome: Outcome, record: Record) -> tuple[Job, Trace]:
-    """See Trace."""
-    return job, Trace(job.kind, outcome.success, record.posture[:, :ARM_JOINTS], *stretches(record))
-
-
-def digest_outcome(job: Job, outcome: Outcome, record: Record) -> tuple[Job, Outcome]:
-    """The outcome alone."""
-    return job, outcome
-
-
-def past_windows(angles: np.ndarray, initial: np.ndarray) -> np.ndarray:
-    """(J, ticks, w): the window that a detector sees at each tick of (ticks, J) `angles`; `initial` (J,) stands before the first."""
-    return posture_windows([np.vstack([np.tile(initial, (WINDOW - 1, 1)), angles])])
-
-
-def best_gamma(normal: np.ndarray, disturbed: np.ndarray) -> float:
-    """The gamma with most peaks of normal runs (R,) below and of disturbed runs (D,) above it: the geometric middle of the widest such gap."""
-    edges = np.unique(np.concatenate([normal, disturbed]))
-    # Beyond all peaks too: a gamma that calls everything normal, or nothing.
-    edges = np.concatenate([[0.5 * edges[0]], edges, [2.0 * edges[-1]]])
-    middles = np.sqrt(edges[:-1] * edges[1:])
-    right = np.array([np.sum(normal < gamma) + np.sum(disturbed >= gamma) for gamma in middles])
-    width = np.where(right == right.max(), edges[1:] / edges[:-1], 0.0)
-    return float(middles[np.argmax(width)])
-
-
-def calibrate(
-    anomaly: Callable[[np.ndarray], np.ndarray], traces: Sequence[Trace], initial: np.ndarray
-) -> tuple[np.ndarray, float, dict[str, Any]]:
-    """Mean errors (J,) and gamma from runs with the detector off, and the peaks that they come from.
-
-    `anomaly`: see WindowDetector; `initial`: (J,) rad. Raises InputError if no undisturbed run was finished.
-    """
-    errors = [anomaly(past_windows(trace.angles, initial)).T for trace in traces]
-    done = [e for e, trace in zip(errors, traces, strict=True) if trace.kind == "none" and trace.success]
-    if not done:
-        raise InputError("no undisturbed validation task was finished: calibrate a network that does its task")
-    mean = np.concatenate(done).mean(axis=0)
-    if np.any(mean == 0.0):
-        raise InputError(f"joint {int(np.argmin(mean)) + 1} has no error at all on normal runs: fit on other runs")
-    peaks: dict[str, list[float]] = {kind: [] for kind in ("normal", *DISTURBANCES[1:])}
-    for e, trace in zip(errors, traces, strict=True):
-        for name, ticks in (("normal", trace.before), (trace.kind, trace.after)):
-            # An undisturbed run that failed may have left the learned way by itself.
-            if len(e[ticks]) and not (trace.kind == "none" and not trace.success):
-                peaks[name].append(float((e[ticks] / mean).max()))
-    disturbed = np.array(peaks["A"] + peaks["B"])
-    if not len(disturbed):
-        raise InputError("no disturbance came in any validation run: raise --disturbed")
-    return mean, best_gamma(np.array(peaks["normal"]), disturbed), peaks
+def parse(arguments: list[str] | None = None) -> BaselinesArguments:
+    """The command line."""
+    return tyro.cli(BaselinesArguments, args=arguments, description=__doc__)
 
 
 def main(arguments: BaselinesArguments) -> int:
-    """Writes a file a method beside the policies; returns the exit code."""
+    """Writes a file a detector beside the policies; returns the exit code."""
+    _check(arguments)
+    from diagrams.episodes.calibration import detector_file
+    from diagrams.episodes.pool import Pool
+    from diagrams.episodes.validation import Validation
+    from diagrams.world.scenario import load_world
+    from models.data.demonstrations import read_demonstrations, read_header
+    from models.files.detectors import StoredDetector, save_detector
     from models.inference import Policy
 
-    _check(arguments)
+    world = load_world(arguments.scenario)
     policies = {path: Policy(path) for path in arguments.policies}
-    notes = {"data": _content(arguments.data)} | {
-        name: getattr(arguments, name) for name in ("seed", "episodes", "disturbed", "trials", "factors", "betas")
-    }
-    stored = {
-        method: found for method in arguments.method if (found := _begun(_file(arguments, method), method, notes))
-    }
-    new = [method for method in arguments.method if method not in stored]
-    if new:
-        kept = [detector.runs for detector in stored.values() if detector.runs]
-        runs = kept[0] if kept else stored_as(_training_runs(arguments, policies))
-        windows = posture_windows(runs)
-        print(f"{windows.shape[1]} windows of {len(runs)} runs", flush=True)
-        for method in new:
-            fitted: dict[str, Any] = {"axes": leading_axes(windows)} if method == "subspace" else {"runs": runs}
-            stored[method] = StoredDetector(method, metadata=dict(notes), **fitted)
-            save_detector(_file(arguments, method), stored[method])  # what the trials run is what was stored
-    for path, policy in policies.items():
-        if all(policy.hash in detector.calibrations for detector in stored.values()):
-            print(f"{path.name}: calibrated already", flush=True)
-            continue
-        counts = {kind: arguments.episodes if kind == "none" else arguments.disturbed for kind in DISTURBANCES}
-        traces = _run(arguments, path, policy, counts, digest_trace)
-        for method, detector in stored.items():
-            if policy.hash in detector.calibrations:
-                continue
-            anomaly = make_window_detector(detector, policy, never_fires(ARM_JOINTS)).anomaly
-            mean, gamma, peaks = calibrate(anomaly, traces, policy.initial_posture[:ARM_JOINTS])
-            print(
-                f"{path.name}, {method}: normal errors peak at {np.median(peaks['normal']):.1f} times their mean (median), "
-                f"{max(peaks['normal']):.1f} (largest); disturbed ones at "
-                + ", ".join(f"{kind} {min(peaks[kind]):.1f} (smallest)" for kind in "AB" if peaks[kind])
-            )
-            beta, gamma, trials = _try(arguments, path, policy, method, mean, gamma)
-            print(f"{path.name}, {method}: beta {beta:g}, gamma {gamma:.1f}", flush=True)
-            detector.calibrations[policy.hash] = {"mean_errors": mean.tolist(), "beta": beta, "gamma": gamma}
-            detector.metadata[policy.hash] = {"policy": path.name, "peaks": peaks, "trials": trials}
-            save_detector(_file(arguments, method), detector)
-    print(f"written: {', '.join(str(_file(arguments, method)) for method in arguments.method)}")
+    files = {spec: detector_file(arguments.policies[0].parent, spec) for spec in arguments.detector}
+    notes = {"data": read_header(arguments.data).content_hash} | {name: getattr(arguments, name) for name in NOTED}
+    if world != World():
+        notes["world"] = dataclasses.asdict(world)
+    stored = {spec: found for spec, file in files.items() if (found := _begun(file, spec, notes))}
+    if len(stored) < len(files):
+        runs = [demo.posture[:, :ARM_JOINTS] for demo in read_demonstrations(arguments.data, "train")]
+        for spec in files.keys() - stored.keys():
+            stored[spec] = StoredDetector(DETECTORS.label(spec), DETECTORS[spec].fit(runs), metadata=dict(notes))
+            save_detector(files[spec], stored[spec])  # what the trials run is what was stored
+    with Pool(arguments.workers) as pool:
+        validation = Validation(pool, world, arguments.encoder, arguments.seed)
+        for path, policy in policies.items():
+            for spec, file in files.items():
+                if policy.hash in stored[spec].calibrations:
+                    print(f"{path.name}, {spec}: calibrated already", flush=True)
+                else:
+                    _calibrate(arguments, validation, path, policy, spec, stored[spec])
+                    save_detector(file, stored[spec])
+    print(f"written: {', '.join(map(str, files.values()))}")
     return 0
 
 
 def _check(arguments: BaselinesArguments) -> None:
-    for method in arguments.method:
-        if method not in METHODS:
-            raise InputError(f"there is no method '{method}': choose from {', '.join(METHODS)}")
-    if not arguments.method or not arguments.factors or not arguments.betas:
-        raise InputError("methods, factors and betas need one value at least")
-    for name, values in (("factor", arguments.factors), ("beta", arguments.betas)):
-        for value in values:
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"the {name} {value} is out of range: choose a finite one above 0")
+    if "recall" in map(DETECTORS.label, arguments.detector):
+        raise InputError("the recall is calibrated by diagrams/calibrate.py: choose another --detector")
+    if not arguments.detector or not arguments.factors or not arguments.betas:
+        raise InputError("detectors, factors and betas need one value at least")
+    for value in (*arguments.factors, *arguments.betas):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{value} is no factor of gamma and no beta: choose finite ones above 0")
     if len({path.parent.resolve() for path in arguments.policies}) != 1:
-        raise InputError("the policies lie in several folders: put them into one, their baselines lie beside them")
-    if importlib.util.find_spec("sklearn") is None:
-        raise InputError("the baselines need scikit-learn: pip install -e '.[sweep]'")
+        raise InputError("the policies lie in several folders: put them into one, where the detectors' files will be")
 
 
-def _file(arguments: BaselinesArguments, method: str) -> Path:
-    return arguments.policies[0].parent / f"{method}.safetensors"
+def _begun(file: Path, spec: str, notes: dict[str, Any]) -> StoredDetector | None:
+    """What an earlier call left in `file`; raises InputError for other notes: it is not written over."""
+    from models.files.detectors import load_detector
 
-
-def _content(data: Path | None) -> str | None:
-    """The hash of the demonstrations; raises InputError if there are none in the file."""
-    if data is None:
-        return None
-    try:
-        from models.data.demonstrations import DatasetError, read_header
-    except ModuleNotFoundError as absent:
-        raise InputError(f"--data needs {absent.name}: pip install -e '.[train]'") from absent
-    try:
-        return read_header(data).content_hash
-    except DatasetError as error:
-        raise InputError(str(error)) from error
-
-
-def _begun(file: Path, method: str, notes: dict[str, Any]) -> StoredDetector | None:
-    """What an earlier call left in `file`; raises InputError if it was calibrated in another way: it is not written over."""
     if not file.exists():
         return None
-    found = load_detector(file, method)
-    others = [name for name, value in notes.items() if found.metadata.get(name) != value]
-    if others:
-        raise InputError(
-            f"{file} was made with other {', '.join(others)} ({', '.join(str(found.metadata.get(name)) for name in others)}): "
-            "give the same, or delete the file to calibrate anew"
-        )
+    found = load_detector(file, DETECTORS.label(spec))
+    others = {name: found.metadata.get(name) for name in (*notes, "world")}
+    if words := ", ".join(f"{name} ({value})" for name, value in others.items() if value != notes.get(name)):
+        raise InputError(f"{file} was made with other {words}: give the same, or delete the file to calibrate anew")
     return found
 
 
-def _training_runs(arguments: BaselinesArguments, policies: dict[Path, Any]) -> list[np.ndarray]:
-    """(T, J) rad each."""
-    if arguments.data is not None:
-        from models.data.demonstrations import read_demonstrations
+def _calibrate(
+    arguments: BaselinesArguments, validation: Validation, path: Path, policy, spec: str, stored: StoredDetector
+) -> None:
+    """Adds to `stored` the calibration for the policy in `path`, and where it comes from."""
+    from diagrams.episodes.calibration import Calibration, Controller, make_detector, never_fires
+    from diagrams.episodes.thresholds import best_in_loop, by_count
 
-        return [demo.posture[:, :ARM_JOINTS] for demo in read_demonstrations(arguments.data, "train")]
-    traces = [
-        trace
-        for path, policy in policies.items()
-        for trace in _run(arguments, path, policy, {"none": arguments.fit_episodes}, digest_trace, purpose="fitting")
-    ]
-    runs = [trace.angles for trace in traces if trace.success]
-    if not runs:
-        raise InputError(
-            f"none of {len(traces)} tasks was finished: fit on a network that does its task, or give --data"
-        )
-    return runs
+    criteria = make_detector(spec, policy, path.parent).GetOutputPort("errors").size()
+    counts = {kind: arguments.episodes if kind == "none" else arguments.disturbed for kind in DISTURBANCES}
+    runs = validation.run(Controller(path, spec, never_fires(criteria)), counts)
+    found = by_count(runs.pop("none"), runs)
+    print(f"{path.name}, {spec}, {found.words()}", flush=True)
+    mean = found.mean_errors.tolist()
 
+    def switched_right(beta: float, gamma: float) -> list[bool]:
+        controller = Controller(path, spec, Calibration(tuple(mean), beta, gamma))
+        trials = validation.run(controller, dict.fromkeys(DISTURBANCES, arguments.trials), "switching")
+        return [run.outcome.switch_success for kind in DISTURBANCES for run in trials[kind]]
 
-def _run(
-    arguments: BaselinesArguments,
-    path: Path,
-    policy: Any,
-    counts: dict[str, int],
-    digest: Callable,
-    *,
-    purpose: str = "validation",
-    method: str = "recall",
-    calibration: Calibration | None = None,
-) -> list[Any]:
-    """Runs so many episodes of each kind of disturbance, by default with the detector off; their digests in the order of the seeds.
-
-    Each run ends as soon as it has shown what is asked of it.
-    """
-    from tqdm import tqdm
-
-    # Without a detector: whether the undisturbed task is done, and the joints up to the disturbance's end.
-    ends: dict[str, Until] = dict.fromkeys(DISTURBANCES, "switching")
-    if calibration is None:
-        calibration = never_fires(policy.horizon + 1)
-        ends = {kind: "task" if kind == "none" else "detection" for kind in DISTURBANCES}
-    seeds = episode_seeds(purpose, arguments.seed, max(counts.values()))
-    jobs = [Job(seed, kind, policy.name, ends[kind]) for kind, count in counts.items() for seed in seeds[:count]]
-    done = run_jobs(
-        World(), arguments.encoder, path, jobs, workers=arguments.workers, calibration=calibration, detector=method,
-        digest=digest,
-    )  # fmt: skip
-    bar = tqdm(done, total=len(jobs), desc=f"{path.stem} {method}", unit="episode", leave=False, disable=None)
-    return [digested for _, digested in sorted(bar, key=lambda pair: (pair[0].seed, pair[0].kind))]
-
-
-def _try(
-    arguments: BaselinesArguments, path: Path, policy: Any, method: str, mean: np.ndarray, gamma: float
-) -> tuple[float, float, list[dict[str, float]]]:
-    """The beta and gamma with most switching successes in closed loop, and how each did."""
-    trials: list[dict[str, float]] = []
-
-    def best(candidates: list[tuple[float, float]]) -> tuple[float, float]:
-        for beta, value in candidates:
-            calibration = Calibration(tuple(mean.tolist()), beta, value)
-            counts = dict.fromkeys(DISTURBANCES, arguments.trials)
-            outcomes = _run(arguments, path, policy, counts, digest_outcome, method=method, calibration=calibration)
-            successes = sum(o.switch_success for o in outcomes)
-            print(f"  beta {beta:g}, gamma {value:.1f}: {successes} of {len(outcomes)} switched right", flush=True)
-            trials.append({"beta": beta, "gamma": value, "successes": successes, "episodes": len(outcomes)})
-        found = max(trials, key=lambda trial: trial["successes"])
-        return found["beta"], found["gamma"]
-
-    first, *others = arguments.betas
-    _, gamma = best([(first, factor * gamma) for factor in arguments.factors])
-    return *best([(beta, gamma) for beta in others]), trials
+    beta, gamma, trials = best_in_loop(found.gamma, arguments.factors, arguments.betas, switched_right)
+    print(f"{path.name}, {spec}: beta {beta:g}, gamma {gamma:.1f}", flush=True)
+    stored.calibrations[policy.hash] = {"mean_errors": mean, "beta": beta, "gamma": gamma}
+    peaks = {"normal": found.normal.tolist()} | {kind: peaks.tolist() for kind, peaks in found.disturbed.items()}
+    stored.metadata[policy.hash] = {"policy": path.name, "peaks": peaks, "trials": trials}
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(tyro.cli(BaselinesArguments, description=__doc__)))
-    except (InputError, WeightsError) as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
+    run(main, parse)

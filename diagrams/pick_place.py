@@ -21,8 +21,9 @@ import tyro
 from diagrams.world.disturbance import Disturbance
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario
-from models.command_line import run
+from models.command_line import require_writable, run
 from models.errors import InputError
+from models.networks import NETWORKS
 
 
 @dataclass
@@ -98,7 +99,7 @@ def main(cli: PickPlaceArguments) -> int:
                 f"{path.name} has no format that can be written: choose a name that ends in {', '.join(formats)}"
             )
     episode = EpisodeSampler(cli.world).episode(cli)
-    encoder, policy = Encoder(cli.weights / ENCODER), Policy(cli.weights / policy_name(cli.rnn))
+    encoder, policy = Encoder(cli.weights / ENCODER), Policy(cli.weights / policy_name(NETWORKS.label(cli.rnn)))
     calibration = stored_calibration(cli.detector, policy, cli.weights)
     detector = make_detector(cli.detector, policy, cli.weights)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
@@ -108,7 +109,7 @@ def main(cli: PickPlaceArguments) -> int:
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
     rollout = Rollout(cli.world, encoder, policy, detector, calibration, meshcat=meshcat, video=cli.video)
     for path in written:
-        _require_writable(path)
+        require_writable(path)
     rollout.simulator.set_target_realtime_rate(cli.realtime_rate)
     if cli.meshcat:
         print(f"live view: {meshcat.web_url()}")
@@ -154,15 +155,6 @@ def _draw(what: str, draw: Callable[[], None]) -> None:
         draw()
     except Exception as error:
         print(f"warning: the {what} could not be drawn: {' '.join(str(error).split())}", file=sys.stderr)
-
-
-def _require_writable(path: Path) -> None:
-    """Raises InputError unless `path` can be written, before an episode is run for it."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.open("ab").close()  # touch() is content with a folder
-    except OSError as error:
-        raise InputError(f"{path} cannot be written ({error.strerror}): choose another name") from error
 
 
 if __name__ == "__main__":

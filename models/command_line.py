@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -51,12 +53,34 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     sys.exit(code)
 
 
+def require(*modules: str) -> None:
+    """Raises ModuleNotFoundError for one of `modules` that is not installed, before hours of work end in that."""
+    for name in modules:
+        if importlib.util.find_spec(name) is None:
+            raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+
+
 def require_checkout() -> None:
     """Raises InputError where the packages were installed without -e: `sdf/` and the weights stayed behind."""
     if not (ROOT / "sdf").is_dir():
         raise InputError(
             f"{ROOT} holds neither sdf/ nor the weights: install with `pip install -e .`, in an environment of its own"
         )
+
+
+def require_writable(path: Path) -> None:
+    """Raises InputError unless the file `path` can be written, before work is done for it.
+
+    What is there is left as it is.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            path.open("ab").close()
+        else:
+            tempfile.TemporaryFile(dir=path.parent).close()
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}): choose another name") from error
 
 
 def _bad_input(words: str) -> int:

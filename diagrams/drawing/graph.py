@@ -26,7 +26,10 @@ _EXPORTED_CELL = re.compile(r'PORT="(?P<port>\d+)">(?P<label>[^<]*)')
 
 
 def save_graph(diagram: Diagram, path: Path) -> None:
-    """Writes the graph of `diagram`, left to right, as .dot, .svg or .png; raises InputError for another format or without `dot`."""
+    """Writes the graph of `diagram`, left to right, as .dot, .svg or .png.
+
+    Raises InputError for another format, without a program `dot`, and where that fails.
+    """
     if path.suffix not in FORMATS:
         raise InputError(f"{path.name} is no format for the graph: choose a name that ends in {', '.join(FORMATS)}")
     text = readable(diagram.GetGraphvizString(max_depth=DEPTH, options={"plant/split": "I/O"}))
@@ -34,20 +37,26 @@ def save_graph(diagram: Diagram, path: Path) -> None:
     if path.suffix == ".dot":
         path.write_text(text)
         return
-    # The dependency's command, beside this Python, where there is no Graphviz.
+    # Without Graphviz the command of a dependency, beside this Python.
     dot = shutil.which("dot") or shutil.which("graphviz-pure", path=sysconfig.get_path("scripts"))
     if dot is None:
         raise InputError(
-            "there is no program `dot` to draw the graph with: install Graphviz or the package graphviz-pure, or ask for .dot"
+            "there is no program `dot` to draw the graph with: "
+            "install Graphviz or the package graphviz-pure, or ask for .dot"
         )
-    subprocess.run(
-        [dot, f"-T{path.suffix[1:]}", "-o", str(path)], input=text, text=True, check=True, capture_output=True
-    )
+    try:
+        command = [dot, f"-T{path.suffix[1:]}", "-o", str(path)]
+        subprocess.run(command, input=text, text=True, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        words = " ".join((getattr(error, "stderr", None) or str(error)).split())
+        raise InputError(f"{dot} cannot draw {path} ({words}): mend that program, or ask for .dot") from error
 
 
 def readable(text: str) -> str:
-    """Drake's graph with the wired ports alone, each with a name: where Drake numbers an input, that of what it is wired to; an output, its
-    system's."""
+    """Drake's graph with the wired ports alone, each with a name.
+
+    Where Drake numbers an input, that of what it is wired to; an output, its system's.
+    """
     edges = _EDGE.findall(text)
     sources = {(target, port): (node, out) for node, out, target, port in edges}
     used = set(sources) | set(sources.values())

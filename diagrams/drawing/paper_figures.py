@@ -1,4 +1,4 @@
-"""The pictures of figures.py: numbers in, one file out."""
+"""The pictures of figures.py beside Fig. 5 (timeline.py): numbers in, one file out."""
 
 from __future__ import annotations
 
@@ -7,121 +7,70 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
-from diagrams.episodes.record import Record
+from diagrams.drawing.style import new_figure, save
 from diagrams.episodes.switching import GUARD
-from diagrams.world.names import ARM_JOINTS
 
-DPI = 110
+PICTURES = ("camera", r"decoded $f_k$", r"decoded $f^R_{k+1}$")
 PAPER_GAMMA = 3.0
 
 
 def save_recall_loss(losses: Mapping[str, np.ndarray], path: Path) -> None:
-    """Fig. 4; `losses`: by the network's name (training seeds, N) mean squared error of the joints recalled n = 1..N ticks back, scaled."""
-    figure, axis = plt.subplots(figsize=(5.5, 3.6), layout="constrained")
+    """Fig. 4; `losses`: by the network's name (training seeds, N) mean squared error, scaled, n = 1..N ticks back."""
+    figure, axis = new_figure(figsize=(5.5, 3.6))
     for name, rows in losses.items():
         n, mean = np.arange(1, rows.shape[1] + 1), rows.mean(axis=0)
         axis.plot(n, mean, marker="o", ms=3, label=f"{name.upper()} ({len(rows)} training seed{'s'[: len(rows) > 1]})")
         axis.fill_between(n, rows.min(axis=0), rows.max(axis=0), alpha=0.2, lw=0)
     axis.set(xlabel="ticks back, $n$", ylabel="mean squared recall error (scaled)", ylim=(0, None))
     axis.legend(frameon=False)
-    _save(figure, path)
+    save(figure, path)
 
 
-def save_sequences(records: Mapping[str, Record], path: Path) -> None:
-    """Fig. 5; `records`: one run for each disturbance, by its name."""
-    figure, axes = plt.subplots(
-        4, len(records), figsize=(4.6 * len(records), 7.5), sharex="col", sharey="row", squeeze=False, layout="constrained",
-        height_ratios=(2.2, 1.3, 1.3, 1),
-    )  # fmt: skip
-    for column, (kind, record) in zip(axes.T, records.items(), strict=True):
-        for axis, rows in zip(column, (record.posture, record.rnn_step, record.regulator_step), strict=False):
-            for joint in range(ARM_JOINTS):
-                axis.plot(record.time, np.rad2deg(rows[:, joint]), lw=1.0, label=f"joint {joint + 1}")
-        column[3].plot(record.time, record.alpha, color="crimson", lw=1.2)
-        column[3].set_xlabel("time (s)")
-        column[0].set_title("no disturbance" if kind == "none" else f"disturbance {kind}", fontsize=10)
-        for axis in column:
-            span = axis.get_xaxis_transform()
-            axis.fill_between(
-                record.time, 0, 1, where=record.active > 0.5, color="orange", alpha=0.35, lw=0, transform=span
-            )
-    for axis, label in zip(
-        axes[:, 0], ("$m$ (deg)", r"$\Delta m^R$ (deg)", r"$\Delta m^L$ (deg)", r"$\alpha$"), strict=True
-    ):
-        axis.set_ylabel(label)
-    axes[0, 0].legend(ncol=2, fontsize=6, frameon=False)
-    _save(figure, path)
-
-
-def save_reconstructions(
-    columns: Sequence[tuple[float, str, Sequence[np.ndarray]]], labels: Sequence[str], path: Path
-) -> None:
-    """Fig. 6; `columns`: (s, what happens, one uint8 picture (112, 112, 3) for each of `labels`)."""
-    figure, axes = plt.subplots(
-        len(labels),
-        len(columns),
-        figsize=(1.7 * len(columns), 1.8 * len(labels) + 0.4),
-        squeeze=False,
-        layout="constrained",
-    )
+def save_reconstructions(columns: Sequence[tuple[float, str, Sequence[np.ndarray]]], path: Path) -> None:
+    """Fig. 6; `columns`: (s, what happens, one uint8 picture (112, 112, 3) for each of PICTURES)."""
+    rows = len(PICTURES)
+    size = (1.7 * len(columns), 1.8 * rows + 0.4)
+    figure, axes = new_figure(rows, len(columns), figsize=size, squeeze=False)
     for column, (seconds, what, pictures) in zip(axes.T, columns, strict=True):
         column[0].set_title(textwrap.fill(what, 24) + f"\n{seconds:.1f} s", fontsize=6)
         for axis, picture in zip(column, pictures, strict=True):
             axis.imshow(picture)
             axis.set(xticks=[], yticks=[])
-    for axis, label in zip(axes[:, 0], labels, strict=True):
+    for axis, label in zip(axes[:, 0], PICTURES, strict=True):
         axis.set_ylabel(label, fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
 def save_states(
-    runs: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
-    switching_point: np.ndarray,
-    ratios: np.ndarray,
-    path: Path,
+    runs: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], origin: np.ndarray, ratios: np.ndarray, path: Path
 ) -> None:
-    """Fig. 7.
-
-    Args:
-        runs: by its title, states on the first three principal components (n, 3), the subtask (n,) 1 or 2, alpha (n,).
-        switching_point: (3,) the state at rest at the initial posture.
-        ratios: (3,) contribution ratios.
-    """
-    planes = ((0, 1), (0, 2))
-    figure, axes = plt.subplots(
-        len(runs), 2, figsize=(9, 4.0 * len(runs)), sharex=True, sharey="col", squeeze=False, layout="constrained"
-    )
+    """Fig. 7; arguments as of principal_states in diagrams/episodes/figure_numbers.py."""
+    size = (9, 4.0 * len(runs))
+    figure, axes = new_figure(len(runs), 2, figsize=size, sharex=True, sharey="col", squeeze=False)
     for row, (title, (states, subtask, alpha)) in zip(axes, runs.items(), strict=True):
         returning = alpha >= GUARD
-        for axis, (i, j) in zip(row, planes, strict=True):
+        for axis, (i, j) in zip(row, ((0, 1), (0, 2)), strict=True):
             for label, colour, chosen in (
                 ("subtask 1", "tab:blue", (subtask == 1) & ~returning),
                 ("subtask 2", "tab:green", (subtask == 2) & ~returning),
                 (r"$\alpha \geq 0.5$: on its own predictions", "crimson", returning),
             ):
-                # A gap where another part comes in between.
-                line = np.where(chosen[:, None], states, np.nan)
+                line = np.where(chosen[:, None], states, np.nan)  # a gap where another part comes in between
                 axis.plot(line[:, i], line[:, j], color=colour, lw=1.0, marker=".", ms=2, label=label)
-            axis.plot(*switching_point[[i, j]], color="black", marker="*", ms=12, ls="", label="switching point")
+            axis.plot(*origin[[i, j]], color="black", marker="*", ms=12, ls="", label="switching point")
             axis.set(
                 xlabel=f"PC{i + 1} ({100 * ratios[i]:.1f} %)",
                 ylabel=f"PC{j + 1} ({100 * ratios[j]:.1f} %)",
                 title=title,
             )
     axes[0, 0].legend(fontsize=7, frameon=False)
-    _save(figure, path)
+    save(figure, path)
 
 
 def save_gamma_curve(
-    curves: Mapping[str, Sequence[dict[str, Any]]],
-    bounds: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    path: Path,
+    curves: Mapping[str, Sequence[dict[str, Any]]], bounds: Mapping[str, tuple[np.ndarray, np.ndarray]], path: Path
 ) -> None:
     """Switching success against gamma, by the paper's rule: errors referred to their means.
 
@@ -129,14 +78,13 @@ def save_gamma_curve(
         curves: by a label, points with gamma, rate and interval, from episodes that were run with that gamma.
         bounds: by the same labels, gammas and the share of episodes with no false alarm and, if disturbed, noticed.
     """
-    figure, axis = plt.subplots(figsize=(6.5, 4), layout="constrained")
+    figure, axis = new_figure(figsize=(6.5, 4))
     for n, (label, points) in enumerate(curves.items()):
         low, high = 100 * np.array([p["interval"] for p in points]).T
         gammas = [p["gamma"] for p in points]
         axis.plot(gammas, [100 * p["rate"] for p in points], marker="o", ms=3, color=f"C{n}", label=label)
         axis.fill_between(gammas, low, high, color=f"C{n}", alpha=0.15, lw=0)
-        if label in bounds:
-            axis.plot(bounds[label][0], 100 * bounds[label][1], color=f"C{n}", lw=0.8, ls=":")
+        axis.plot(bounds[label][0], 100 * bounds[label][1], color=f"C{n}", lw=0.8, ls=":")
     axis.axvline(PAPER_GAMMA, color="0.5", lw=0.8, ls="--")
     axis.text(PAPER_GAMMA, 1.01, "the paper's 3", fontsize=7, ha="center", transform=axis.get_xaxis_transform())
     axis.plot([], [], color="0.4", lw=0.8, ls=":", label="no false alarm, and noticed\n(from the runs at the largest)")
@@ -145,10 +93,4 @@ def save_gamma_curve(
     axis.set_xticks(ticks, [f"{gamma:g}" for gamma in ticks], minor=False)
     axis.set_xticks([], minor=True)
     axis.legend(fontsize=7, frameon=False)
-    _save(figure, path)
-
-
-def _save(figure, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI)
-    plt.close(figure)
+    save(figure, path)

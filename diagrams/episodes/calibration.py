@@ -12,7 +12,6 @@ from pydrake.systems.framework import System
 
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
-from models.networks import NETWORKS
 from systems.detector import NEVER
 from systems.detectors import DETECTORS
 
@@ -46,9 +45,8 @@ class Controller:
     calibration: Calibration | None = None
 
 
-def policy_name(rnn: str, training_seed: int = 0) -> str:
-    """File name of a trained network: lstm.safetensors of training seed 0, lstm-1.safetensors of seed 1."""
-    label = NETWORKS.label(rnn)
+def policy_name(label: str, training_seed: int = 0) -> str:
+    """File name of the network with that short name: lstm.safetensors of training seed 0, lstm-1.safetensors of 1."""
     return f"{label}-{training_seed}.safetensors" if training_seed else f"{label}.safetensors"
 
 

@@ -57,7 +57,10 @@ def record_hash(record: Record) -> str:
 
 
 def stretches(record: Record) -> tuple[slice, slice]:
-    """Ticks before the onset, and from it to the end of the disturbance + 5 ticks; all and none without a disturbance."""
+    """Ticks before the onset, and from it to the end of the disturbance + 5 ticks.
+
+    All and none without a disturbance.
+    """
     active = record.active > 0.5
     onset = int(np.argmax(active)) if active.any() else len(active)
     return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)

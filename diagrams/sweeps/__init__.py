@@ -1,1 +1,1 @@
-"""Many episodes: tasks, rows on disk, statistics."""
+"""Many episodes: what is asked for, tasks, a cluster, the table of all rows, statistics."""

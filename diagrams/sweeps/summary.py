@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 CELL = ["rnn", "detector", "gamma", "disturbance"]
-# Measure: the column that says whether it went well, and why not. The last is the switching in the paper's words (diagrams/episodes/episode.py).
+# Measure: the column that says whether it went well, and why not. The last is the switching in the paper's words
+# (diagrams/episodes/switching.py).
 MEASURES = {
     "task": ("success", "failure"),
     "switching": ("switch_success", "switch_failure"),
@@ -20,21 +22,19 @@ MEASURES = {
 
 
 def rate(successes: np.ndarray, training_seeds: np.ndarray) -> dict[str, Any]:
-    """Of (n,) bool and (n,) int: n, successes, rate, Wilson 95 % interval; over the rates of the training seeds, mean and deviation.
+    """Of (n,) bool and (n,) int: n, successes, rate, Wilson 95 % interval; mean and deviation over training seeds.
 
-    The deviation is that of the whole (divided by the number of seeds): the paper's figures, such as 95.8 +- 2.4 % of three times 40, are
-    possible with it alone.
+    The deviation is that of the whole (divided by the number of seeds): the paper's figures, such as 95.8 +- 2.4 % of
+    three times 40, are possible with it alone.
     """
-    from statsmodels.stats.proportion import proportion_confint
-
     n, count = len(successes), int(np.sum(successes))
-    low, high = proportion_confint(count, n, method="wilson")
+    interval = binomtest(count, n).proportion_ci(method="wilson")
     by_seed = {str(seed): float(np.mean(successes[training_seeds == seed])) for seed in np.unique(training_seeds)}
     return {
         "n": n,
         "successes": count,
         "rate": count / n,
-        "interval": [float(low), float(high)],
+        "interval": [float(interval.low), float(interval.high)],
         "by_training_seed": by_seed,
         "mean": float(np.mean(list(by_seed.values()))),
         "deviation": float(np.std(list(by_seed.values()))),
@@ -55,7 +55,7 @@ def measures(rows: pd.DataFrame) -> dict[str, tuple[str, str]]:
 
 
 def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    """One entry a controller (over its training seeds) and disturbance; `rows`: the columns of diagrams/sweeps/store.py."""
+    """One entry a controller (over its training seeds) and disturbance; `rows`: a table (see table.py)."""
     measured = measures(rows)
     return [
         labels
@@ -78,11 +78,9 @@ def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
 def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """McNemar's exact test of each two controllers (rnn, detector) at the same gamma, on the episodes that both have.
 
-    `p_scenes`: an exact sign test on the scenes, which recur under every training seed: which of the two switches or does its task more often
-    there. All pairs are listed; none of the p is corrected for their number.
+    `p_scenes`: an exact sign test on the scenes, which recur under every training seed: which of the two switches or
+    does its task more often there. All pairs are listed; none of the p is corrected for their number.
     """
-    from statsmodels.stats.contingency_tables import mcnemar
-
     found, measured = [], measures(rows)
     for labels, group in _groups(rows, ["disturbance", "gamma"]):
         controllers = [(c["rnn"], c["detector"], part) for c, part in _groups(group, ["rnn", "detector"])]
@@ -91,8 +89,8 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
             for measure, (flag, _) in measured.items():
                 first, second = (pairs[f"{flag}_{side}"].to_numpy(bool) for side in "ab")
                 more = (pairs[f"{flag}_a"].astype(int) - pairs[f"{flag}_b"].astype(int)).groupby(pairs["seed"]).sum()
-                scenes = [[0, int((more > 0).sum())], [int((more < 0).sum()), 0]]
-                table = [[int(np.sum((first == x) & (second == y))) for y in (True, False)] for x in (True, False)]
+                only_a, only_b = int(np.sum(first & ~second)), int(np.sum(second & ~first))
+                scenes_a, scenes_b = int((more > 0).sum()), int((more < 0).sum())
                 found.append(
                     labels
                     | {
@@ -100,15 +98,20 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
                         "a": {"rnn": rnn_a, "detector": detector_a},
                         "b": {"rnn": rnn_b, "detector": detector_b},
                         "n": len(pairs),
-                        "only_a": table[0][1],
-                        "only_b": table[1][0],
-                        "p": float(mcnemar(table, exact=True).pvalue),
-                        "scenes_a": scenes[0][1],
-                        "scenes_b": scenes[1][0],
-                        "p_scenes": float(mcnemar(scenes, exact=True).pvalue),
+                        "only_a": only_a,
+                        "only_b": only_b,
+                        "p": sign_test(only_a, only_b),
+                        "scenes_a": scenes_a,
+                        "scenes_b": scenes_b,
+                        "p_scenes": sign_test(scenes_a, scenes_b),
                     }
                 )
     return found
+
+
+def sign_test(a: int, b: int) -> float:
+    """Two-sided p of the exact sign test, `a` pairs against `b`; on discordant pairs it is McNemar's exact test."""
+    return float(binomtest(a, a + b).pvalue) if a + b else 1.0
 
 
 def _groups(rows: pd.DataFrame, columns: list[str]) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:

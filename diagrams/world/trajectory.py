@@ -11,7 +11,13 @@ from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS
 
-SUBTASK_STEPS = (161, 192)
+# Of the waypoints of either subtask: home, down to the goal and up again, home.
+TICKS = (
+    (0, 20, 66, 75, 84, 86, 92, 99, 106, 134, 161),
+    (0, 20, 94, 107, 120, 123, 129, 136, 143, 167, 192),
+)
+FINGERS_MOVE = 5  # index of the waypoint from which on they are closed (subtask 1) or open
+SUBTASK_STEPS = tuple(ticks[-1] for ticks in TICKS)
 GRASP_ABOVE_CENTRE = 0.010  # of the can, m
 HOVER = 0.115  # height above the grasp from which the hand comes down on the can, m
 FREE_DEVIATION, DWELL_DEVIATION = np.deg2rad(2.5), np.deg2rad(0.5)  # largest, a joint: see deviations()
@@ -22,7 +28,7 @@ RELEASE_GAP = 0.004
 
 @dataclass(frozen=True)
 class Waypoint:
-    """At `tick` the hand is at `joints` (7, rad); from then on the fingers are commanded to `opening` (m)."""
+    """At `tick` of the subtask the hand is at `joints` (7, rad); from then on the fingers go to `opening` (m)."""
 
     tick: int
     joints: np.ndarray
@@ -30,42 +36,17 @@ class Waypoint:
 
 
 def subtask_waypoints(world: World, hand: HandKinematics, centre: np.ndarray, subtask: int) -> list[Waypoint]:
-    """Waypoints of subtask 1 (grasp the can at `centre`, 3, m, world) or 2 (put the held can there)."""
-    home = world.initial_posture[:ARM_JOINTS]
-    grasp = np.asarray(centre) + [0, 0, GRASP_ABOVE_CENTRE]
-    open_, closed = world.opening, world.closed_opening
+    """Waypoints of subtask 1 (grasp the can) or 2 (put the held can down); `centre` of the can there, (3, m, world).
 
-    def at(height: float) -> np.ndarray:
-        return hand.solve_ik(grasp + [0, 0, height])
-
-    if subtask == 1:
-        return [
-            Waypoint(0, home, open_),
-            Waypoint(20, home, open_),
-            Waypoint(66, at(HOVER), open_),
-            Waypoint(75, at(0.5 * HOVER), open_),
-            Waypoint(84, at(0.0), open_),
-            Waypoint(86, at(0.0), closed),
-            Waypoint(92, at(0.0), closed),
-            Waypoint(99, at(0.5 * HOVER), closed),
-            Waypoint(106, at(HOVER), closed),
-            Waypoint(134, home, closed),
-            Waypoint(161, home, closed),
-        ]
-    low = RELEASE_GAP
-    return [
-        Waypoint(0, home, closed),
-        Waypoint(20, home, closed),
-        Waypoint(94, at(HOVER), closed),
-        Waypoint(107, at(0.5 * HOVER), closed),
-        Waypoint(120, at(low), closed),
-        Waypoint(123, at(low), open_),
-        Waypoint(129, at(low), open_),
-        Waypoint(136, at(0.5 * HOVER), open_),
-        Waypoint(143, at(HOVER), open_),
-        Waypoint(167, home, open_),
-        Waypoint(192, home, open_),
-    ]
+    Raises InputError for a place that the hand cannot reach.
+    """
+    home, grasp = world.initial_posture[:ARM_JOINTS], np.asarray(centre) + [0, 0, GRASP_ABOVE_CENTRE]
+    low = 0.0 if subtask == 1 else RELEASE_GAP
+    heights = (None, None, HOVER, 0.5 * HOVER, low, low, low, 0.5 * HOVER, HOVER, None, None)  # m; None: home
+    coming, going = (world.opening, world.closed_opening) if subtask == 1 else (world.closed_opening, world.opening)
+    joints = [home if height is None else hand.solve_ik(grasp + [0, 0, height]) for height in heights]
+    openings = [coming] * FINGERS_MOVE + [going] * (len(joints) - FINGERS_MOVE)
+    return [Waypoint(*given) for given in zip(TICKS[subtask - 1], joints, openings, strict=True)]
 
 
 def commands(waypoints: list[Waypoint], steps: int) -> np.ndarray:
@@ -88,10 +69,10 @@ def subtask_commands(world: World, hand: HandKinematics, centre: np.ndarray, sub
 
 
 def deviations(waypoints: list[Waypoint], steps: int, rng: np.random.Generator) -> np.ndarray:
-    """(steps, 8) rad: how far the arm is kept off the commanded posture (DART, Laskey et al. 2017); fingers 0.
+    """(steps, 8) what the arm is pushed off the commanded posture while it is taught, rad; fingers 0.
 
-    Smooth and bounded: free on the path, small while dwelling at home, none where the fingers are near a can. The
-    actions recorded stay those without it, so that pictures off the path come with the motion back to it.
+    DART (Laskey et al. 2017): the actions recorded stay those without it, so that pictures off the path come with the
+    motion back to it. Smooth and bounded: free on the path, small at home, none where the fingers are near a can.
     """
     home = waypoints[0].joints
     hover = [w.tick for w in waypoints if not np.array_equal(w.joints, home)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -48,9 +49,13 @@ class Demonstration:
 
 @dataclass(frozen=True)
 class DatasetHeader:
-    """Attributes of the whole file: initial_posture (8,), period in s, and a hash of the content."""
+    """Attributes of the whole file.
+
+    initial_posture (8,); period, s; world: what a network trained on it takes for granted, plain types; a content hash.
+    """
 
     initial_posture: np.ndarray
+    world: dict[str, Any]
     period: float
     content_hash: str
     total: int
@@ -80,6 +85,7 @@ def read_header(path: str | Path) -> DatasetHeader:
         attributes: Any = file["data"].attrs
         return DatasetHeader(
             np.array(attributes["initial_posture"], float),
+            json.loads(attributes.get("world", "{}")),
             float(attributes["period"]),
             str(attributes["content_hash"]),
             int(attributes["total"]),

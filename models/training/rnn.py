@@ -199,7 +199,11 @@ def train_rnn(options: RnnOptions) -> Path:
     prepare(options)
     header, encoder, demos = read_header(options.data), Encoder(options.encoder), read_demonstrations(options.data)
     initial, gain = header.initial_posture, options.regulator_gain
-    metadata: dict[str, Any] = {"training": options.as_metadata(), "data_hash": header.content_hash}
+    metadata: dict[str, Any] = {
+        "training": options.as_metadata(),
+        "data_hash": header.content_hash,
+        "world": header.world,
+    }
     made_from = {"data": content_of(options.data), "encoder": encoder.hash}
     rnn = make_rnn(options.rnn, len(initial), encoder.feature_size)
     if options.start_from is None:

@@ -5,24 +5,24 @@ Both need the cores for themselves: pytest tests/benchmarks/test_sweep_benchmark
 
 import contextlib
 import time
+from functools import partial, partialmethod
 
 import pytest
 
-from diagrams.episodes import rollout
-from diagrams.episodes.pool import Controller, Job, Worker
-from diagrams.sweep import SweepArguments, connect, execute, plan
-from diagrams.sweeps.store import EpisodeStore
-from diagrams.sweeps.task import ENCODER
+from diagrams.episodes.pool import Pool
+from diagrams.episodes.rollout import Rollout
+from diagrams.episodes.store import RowStore
+from diagrams.sweeps.plan import SweepArguments, plan
 from diagrams.world.configuration import World
-from tests.diagrams import sweep_fakes
+from tests.diagrams.sweep_fakes import SECONDS, short_task
 
 EPISODES = 8  # a round
 ROUNDS = 3
 
 
 @pytest.fixture(scope="module")
-def planned(weights):
-    return plan(SweepArguments(episodes=EPISODES, disturbance=["A"], weights=weights))
+def tasks(weights):
+    return plan(SweepArguments(episodes=EPISODES, disturbance=["A"], weights=weights), World())[0]
 
 
 @pytest.fixture
@@ -50,36 +50,34 @@ def measured(benchmark):
 
 
 @contextlib.contextmanager
-def sweeping(planned, folder, workers):
-    """A function that runs all episodes, on disk and all, on workers that are there already."""
-    tasks, files = planned
-    store = EpisodeStore(folder)
+def sweeping(tasks, weights, folder, workers):
+    """A function that runs all episodes, on disk and all, on workers that stay."""
 
     def sweep():
-        for task, row in execute(client, sweep_fakes.short_task, tasks):
+        for task, row in pool.run(partial(short_task, weights), tasks):
             assert row["error"] is None
             store.add(task.key, row)
 
-    with connect(None, workers) as client:
-        client.register_plugin(files)
-        client.wait_for_workers(workers)
+    with RowStore(folder / "rows.jsonl", {}) as store, Pool(workers) as pool:
         yield sweep
 
 
-def test_overhead_is_at_most_5_percent(measured, planned, weights, tmp_path, monkeypatch):
-    monkeypatch.setattr(rollout, "TIME_LIMIT", 4.0)
-    worker, controller = Worker(World(), weights / ENCODER), Controller(weights / "lstm.safetensors")
+def test_overhead_is_at_most_5_percent(measured, tasks, weights, tmp_path, monkeypatch):
+    monkeypatch.setattr(Rollout, "run", partialmethod(Rollout.run, time_limit=SECONDS))  # in this process
 
     def bare():
-        for task in planned[0]:
-            worker.run(Job(task.seed, task.disturbance), controller)
+        for task in tasks:
+            assert short_task(weights, task)["error"] is None
 
-    with sweeping(planned, tmp_path, 1) as sweep:
+    with sweeping(tasks, weights, tmp_path, 1) as sweep:
         alone, swept = measured(bare, sweep)
     assert swept <= 1.05 * alone, f"{EPISODES} episodes: {alone:.2f} s bare, {swept:.2f} s swept"
 
 
-def test_two_workers_give_1_8_times_the_episodes_of_one(measured, planned, tmp_path):
-    with sweeping(planned, tmp_path / "1", 1) as one_worker, sweeping(planned, tmp_path / "2", 2) as two_workers:
+def test_two_workers_give_1_8_times_the_episodes_of_one(measured, tasks, weights, tmp_path):
+    with (
+        sweeping(tasks, weights, tmp_path / "1", 1) as one_worker,
+        sweeping(tasks, weights, tmp_path / "2", 2) as two_workers,
+    ):
         one, two = measured(one_worker, two_workers)
     assert one >= 1.8 * two, f"{EPISODES} episodes: {one:.2f} s with one worker, {two:.2f} s with two"

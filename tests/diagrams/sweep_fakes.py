@@ -5,18 +5,31 @@ In a module of its own: the workers are other processes, which import it.
 
 import os
 import signal
-import sys
 import time
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
 
-from diagrams.sweeps.task import Task
+from diagrams.episodes.rollout import Rollout
+from diagrams.episodes.sampling import SEEDS_APART
+from diagrams.sweeps.task import Task, error_row, run_task
+from diagrams.world.configuration import World
 
 PAUSE = 0.05  # s
+SECONDS = 4.0  # that a short task has for the task
 
 
-def outcome_row(task: Task) -> dict:
+def make_task(seed=0, disturbance="none", **changes) -> Task:
+    """A task of the LSTM, on weights without a hash."""
+    values = {
+        "world": World(), "rnn": "lstm", "training_seed": 0, "detector": "recall", "gamma": None,
+        "weights_hash": "", "encoder_hash": "", "detector_hash": None,
+    }  # fmt: skip
+    return Task(seed=seed, disturbance=disturbance, **(values | changes))
+
+
+def outcome_row(folder: Path, task: Task) -> dict:
     """A row that depends on nothing but the task (but for its times)."""
     rng = np.random.default_rng([task.seed, task.training_seed, len(task.rnn)])
     disturbed = task.disturbance != "none"
@@ -30,55 +43,61 @@ def outcome_row(task: Task) -> dict:
         "return_s": 2.0 if disturbed else None, "resume_s": None,
         "failure": None if success else "stalled", "switch_failure": None if switched else "not resumed",
         "sim_seconds": 40.0 + rng.uniform(), "wall_seconds": started, "realtime_factor": time.time(),
-        "error_peak_normal": float(rng.uniform(1, 20)), "error_peak_disturbed": 300.0 if disturbed else None, "error": None,
+        "error_peak_normal": float(rng.uniform(1, 20)), "error_peak_disturbed": 300.0 if disturbed else None,
+        "error": None, "traceback": None,
     }  # fmt: skip
 
 
-def slow_task(task: Task) -> dict:
+def slow_task(folder: Path, task: Task) -> dict:
     """Takes a little time."""
     time.sleep(PAUSE)
-    return outcome_row(task)
+    return outcome_row(folder, task)
 
 
-def raising_task(task: Task) -> dict:
-    """Raises in every fourth episode, outside of what run_task catches."""
+def failing_task(folder: Path, task: Task) -> dict:
+    """Fails in every fourth episode."""
     if task.seed % 4 == 0:
-        raise RuntimeError("the arm\nfell off")
-    return outcome_row(task)
+        try:
+            raise RuntimeError("the arm\nfell off")
+        except RuntimeError as error:
+            return error_row(task, error)
+    return outcome_row(folder, task)
 
 
-def dying_task(task: Task) -> dict:
-    """Kills its worker, once for each fifth episode; the policy's hash is abused to say where to note that."""
-    note = Path(task.weights_hash) / task.key
+def dying_task(folder: Path, task: Task) -> dict:
+    """Kills its worker, once for each fifth episode; that is noted in `folder`."""
+    note = folder / task.key
     if task.seed % 5 == 0 and not note.exists():
         note.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return outcome_row(task)
+    return outcome_row(folder, task)
 
 
-def deadly_task(task: Task) -> dict:
-    """Kills every worker that tries it."""
-    if task.seed == 0:
+def deadly_task(folder: Path, task: Task) -> dict:
+    """Kills every worker that tries the first episode."""
+    if task.seed % SEEDS_APART == 0:
         os.kill(os.getpid(), signal.SIGKILL)
-    return outcome_row(task)
+    return outcome_row(folder, task)
 
 
-def short_task(task: Task) -> dict:
-    """A real episode with 4 s to do the task in, and how long it took (`wall_seconds`), drawing included."""
-    from diagrams.episodes import rollout
-    from diagrams.sweeps import task as sweep_task
+def task_with_files(folder: Path, task: Task) -> dict:
+    """Says which files came to the worker."""
+    files = ", ".join(f"{path.name} {path.read_text()}" for path in sorted(folder.iterdir()))
+    return outcome_row(folder, task) | {"vacant": files}
 
-    rollout.TIME_LIMIT = 4.0
-    started = time.perf_counter()
-    row = sweep_task.run_task(task)
-    return row | {"wall_seconds": time.perf_counter() - started}
+
+def short_task(folder: Path, task: Task) -> dict:
+    """A real episode with SECONDS to do the task in."""
+    if not isinstance(Rollout.__dict__["run"], partialmethod):
+        Rollout.run = partialmethod(Rollout.run, time_limit=SECONDS)
+    return run_task(folder, task)
 
 
 if __name__ == "__main__":
     import sweep_fakes  # not of __main__, which the workers do not know
-    import tyro
 
     from diagrams import sweep
+    from models.command_line import run
 
     sweep.run_task = sweep_fakes.slow_task
-    sys.exit(sweep.main(tyro.cli(sweep.SweepArguments)))
+    run(sweep.main, sweep.parse)

@@ -1,135 +1,127 @@
-"""Calibration: which candidate is taken, what is written, and what a worker runs."""
+"""The program: which candidate is taken, what is written, and what is refused before an episode runs."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from diagrams import calibrate
-from diagrams.calibrate import CalibrateArguments, reference, threshold
-from diagrams.episodes import pool as workers
-from diagrams.episodes import rollout as rollout_module
-from diagrams.episodes.calibration import OFF, Calibration, Controller
-from diagrams.episodes.episode import Outcome
-from diagrams.episodes.pool import Job, Result
+from diagrams.calibrate import CalibrateArguments
+from diagrams.episodes import validation
 from diagrams.episodes.sampling import SEED_BASE
-from diagrams.world.configuration import World
 from models.errors import InputError
 from models.files.weights import WeightsError, load_policy
+from systems.detector import NEVER
+from tests.diagrams.episode_fakes import outcome, record
 from tests.diagrams.untrained import save_untrained
 
-OUTCOME = Outcome(
-    seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True, placed=True,
-    home=True, success=True, switched=True, detection_delay_s=0.2, false_switches=0, returned=True, resumed=True,
-    switch_success=True, paper_switch_success=True, alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None, switch_failure=None,
-    sim_seconds=40.0, realtime_factor=5.0,
-)  # fmt: skip
+MEAN = 1e-4 * np.arange(1, 12)
 
 
-def result(job, success=True, peak=20.0, reached=4000.0, seconds=40.0):
-    outcome = replace(
-        OUTCOME, seed=job.seed, disturbance=job.kind, success=success, failure=None if success else "stalled",
-        sim_seconds=seconds,
-    )  # fmt: skip
-    mean = 1e-4 * np.arange(1, 12)
-    return Result(job, outcome, 100 * mean, 100, peak * mean, None if job.kind == "none" else reached * mean)
-
-
-def test_calibration_takes_the_best_candidate_and_the_middle_gamma(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def candidates(tmp_path):
     folder = save_untrained(tmp_path / "weights")
-    candidates = []
-    for name in ("policy-2000", "policy-4000", "policy-6000"):
-        candidates.append(tmp_path / f"{name}.safetensors")
-        candidates[-1].write_bytes((folder / "lstm.safetensors").read_bytes())
+    paths = [tmp_path / f"{name}.safetensors" for name in ("policy-2000", "policy-4000", "policy-6000")]
+    for path in paths:
+        path.write_bytes((folder / "lstm.safetensors").read_bytes())
+    return paths
+
+
+def arguments(paths, **changes):
+    out, encoder = paths[0].parent / "out" / "lstm.safetensors", paths[0].parent / "weights" / "cae.safetensors"
+    return replace(CalibrateArguments(paths, out, encoder=encoder, episodes=6, disturbed=4, workers=0), **changes)
+
+
+def test_calibration_takes_the_best_candidate_and_the_middle_gamma(candidates, monkeypatch, capsys):
     asked = []
 
-    def run_jobs(world, encoder, policy, jobs, *, workers, calibration):
-        asked.extend((policy.stem, job, calibration.gamma) for job in jobs)
-        on = calibration.gamma != OFF
+    def run_episode(job):
+        asked.append(job)
+        on = job.controller.calibration.gamma != NEVER
         if on:
-            assert calibration.reference_errors == pytest.approx(20e-4 * np.arange(1, 12))
+            assert job.controller.calibration.reference_errors == pytest.approx(20 * MEAN)
         # Undisturbed, 4000 and 6000 fail once; disturbed, 6000 is the better one.
-        undisturbed, disturbed = {"policy-2000": (4, 0), "policy-4000": (1, 2), "policy-6000": (1, 1)}[policy.stem]
-        for i, job in enumerate(jobs):
-            yield result(job, success=i >= (undisturbed if job.kind == "none" else disturbed * on))
+        which = {"policy-2000": (4, 0), "policy-4000": (1, 2), "policy-6000": (1, 1)}[job.controller.policy.stem]
+        failing = which[0] if job.kind == "none" else which[1] * on
+        normal = [MEAN] * 19 + [20 * MEAN]
+        made_up = record(normal, [] if job.kind == "none" else [4000 * MEAN], job.kind != "none")
+        return outcome(job, job.seed - SEED_BASE["validation"] >= failing), made_up
 
-    monkeypatch.setattr(calibrate, "run_jobs", run_jobs)
-    out = tmp_path / "out" / "lstm.safetensors"
-    arguments = CalibrateArguments(candidates, out, folder / "cae.safetensors", episodes=6, disturbed=4)
-    assert calibrate.main(arguments) == 0
-    stored = load_policy(out)
-    gamma = np.sqrt(1.0 * 200.0)  # all normal runs peak at 20 times the mean, the disturbed ones at 4000 times
-    assert stored.mean_errors == pytest.approx(1e-4 * np.arange(1, 12))
-    assert stored.reference_errors == pytest.approx(20e-4 * np.arange(1, 12))
-    assert stored.beta == 30.0
-    assert stored.gamma == pytest.approx(gamma)
+    monkeypatch.setattr(validation, "run_episode", run_episode)
+    given = arguments(candidates)
+    assert calibrate.main(given) == 0
+    stored = load_policy(given.out)
+    gamma = np.sqrt(
+        1.0 * 200.0
+    )  # normal runs peak at 20 times 1e-4 n, which is their reference; disturbed ones at 4000
+    assert stored.mean_errors == pytest.approx(39 / 20 * MEAN)
+    assert stored.reference_errors == pytest.approx(20 * MEAN)
+    assert (stored.beta, stored.gamma) == (30.0, pytest.approx(gamma))
     notes = stored.metadata["calibration"]
+    folder = candidates[0].parent.name
     assert notes["chosen"] == "policy-6000.safetensors"
-    assert notes["selection"][f"{tmp_path.name}/policy-4000.safetensors"]["B"]["successes"] == 2
-    assert set(notes["selection"][f"{tmp_path.name}/policy-2000.safetensors"]) == {"none"}
+    assert notes["selection"][f"{folder}/policy-4000.safetensors"]["B"]["successes"] == 2
+    assert set(notes["selection"][f"{folder}/policy-2000.safetensors"]) == {"none"}
+    assert notes["validation_seed"] == SEED_BASE["validation"]
+    assert notes["normal_peaks"] == pytest.approx([1.0] * 5)  # of those that finished
+    assert notes["disturbed_peaks"]["A"] == pytest.approx([200.0] * 4)
     assert stored.metadata["training"] == {"seed": 0}
-    seeds = {job.seed for _, job, _ in asked}
-    assert all(SEED_BASE["validation"] <= seed < SEED_BASE["evaluation"] for seed in seeds)
+    assert all(SEED_BASE["validation"] <= job.seed < SEED_BASE["evaluation"] for job in asked)
     # Only what cannot succeed without a detector is cut short; the rest is judged to its end.
-    assert all((job.until == "detection") == (job.kind != "none" and g == OFF) for _, job, g in asked)
-    assert sorted({g for _, job, g in asked if job.kind != "none"}) == pytest.approx([gamma, OFF])
+    gammas = [job.controller.calibration.gamma for job in asked]
+    assert all(
+        (j.until == "detection") == (j.kind != "none" and g == NEVER) for j, g in zip(asked, gammas, strict=True)
+    )
+    assert sorted({g for j, g in zip(asked, gammas, strict=True) if j.kind != "none"}) == pytest.approx([gamma, NEVER])
     assert "5 of 6 tasks done" in capsys.readouterr().out
 
 
-def test_reference_by_hand():
-    # Logarithms 1, 3: mean 2, deviation sqrt(2); and 5, 5.
-    found = reference(np.exp([[1.0, 5.0], [3.0, 5.0]]))
-    assert np.log(found) == pytest.approx([2.0 + 2.0 * np.sqrt(2.0), 5.0])
-    with pytest.raises(InputError, match="two finished"):
-        reference(np.ones((1, 3)))
-
-
-def test_threshold_by_hand():
-    # Logarithms 1, 3 and 7, 11: means 2 and 9, deviations sqrt(2) and sqrt(8), so a third of the way, 7 / (3 sqrt(2)) deviations from either.
-    gamma, deviations = threshold(np.exp([1.0, 3.0]), np.exp([7.0, 11.0]))
-    assert np.log(gamma) == pytest.approx(2.0 + 7.0 / 3.0)
-    assert deviations == pytest.approx(7.0 / (3.0 * np.sqrt(2.0)))
+def test_calibration_without_any_success_is_an_error(candidates, monkeypatch):
+    monkeypatch.setattr(validation, "run_episode", lambda job: (outcome(job, False), record([MEAN])))
+    with pytest.raises(InputError, match="train longer"):
+        calibrate.main(arguments(candidates))
 
 
 @pytest.mark.parametrize(
-    ("normal", "disturbed", "named"),
-    [([1.0], [9.0, 9.0], "two finished"), ([5.0, 6.0], [5.0, 5.5], "no larger errors")],
+    ("changes", "named"),
+    [
+        ({"out": Path("/dev/null/lstm.safetensors")}, r"/dev/null/lstm\.safetensors cannot be written"),
+        ({"out": Path("/")}, r"/ cannot be written \(Is a directory\)"),
+        ({"scenario": Path("nowhere.yaml")}, r"no scenario file nowhere\.yaml"),
+        ({"candidates": [Path("nowhere.safetensors")]}, r"nowhere\.safetensors: the weight file does not exist"),
+        ({"workers": -1}, "number of workers -1 is too small"),
+        ({"seed": 100}, "seed 100 is outside of 0 to 99"),
+    ],
 )
-def test_no_threshold_where_nothing_tells_the_runs_apart(normal, disturbed, named):
+def test_bad_input_is_refused_before_an_episode_runs(candidates, monkeypatch, changes, named):
+    monkeypatch.setattr(validation, "run_episode", lambda job: pytest.fail("an episode was run"))
     with pytest.raises(InputError, match=named):
-        threshold(np.array(normal), np.array(disturbed))
+        calibrate.main(arguments(candidates, **changes))
+    assert not (candidates[0].parent / "out" / "lstm.safetensors").exists()  # a look leaves nothing behind
 
 
-def test_calibration_without_any_success_is_an_error(tmp_path, monkeypatch):
-    folder = save_untrained(tmp_path / "weights")
-    candidate = folder / "lstm.safetensors"
-    monkeypatch.setattr(
-        calibrate, "run_jobs", lambda *a, **k: (result(job, success=False) for job in a[3])
-    )  # fmt: skip
-    with pytest.raises(InputError, match="train longer"):
-        calibrate.main(CalibrateArguments([candidate], tmp_path / "out", folder / "cae.safetensors"))
+def test_the_scenario_s_world_is_run(candidates, monkeypatch, tmp_path):
+    class Enough(Exception):
+        pass
+
+    def run_episode(job):
+        assert job.world.timing.time_step == 0.005
+        raise Enough
+
+    monkeypatch.setattr(validation, "run_episode", run_episode)
+    (tmp_path / "world.yaml").write_text("world: {timing: {time_step: 0.005}}\n")
+    with pytest.raises(Enough):
+        calibrate.main(arguments(candidates, scenario=tmp_path / "world.yaml"))
 
 
-def test_an_error_of_a_process_is_the_program_s(tmp_path):
-    candidate = save_untrained(tmp_path / "weights") / "lstm.safetensors"
-    arguments = CalibrateArguments(
-        [candidate], tmp_path / "out", tmp_path / "nowhere", episodes=2, disturbed=2, workers=1
-    )
+def test_an_error_of_a_process_is_the_program_s(candidates):
     with pytest.raises(WeightsError, match="nowhere: the weight file does not exist"):
-        calibrate.main(arguments)
-    with pytest.raises(InputError, match="number of workers 0 is too small"):
-        calibrate.main(replace(arguments, workers=0))
+        calibrate.main(arguments(candidates, encoder=Path("nowhere"), workers=1))
 
 
-def test_a_worker_runs_a_job_with_the_calibration_given(tmp_path, monkeypatch):
-    monkeypatch.setattr(rollout_module, "TIME_LIMIT", 1.5)
-    folder = save_untrained(tmp_path / "weights", calibrated=False)
-    worker = workers.Worker(World(), folder / "cae.safetensors")
-    controller = Controller(folder / "lstm.safetensors", calibration=Calibration((1.0,) * 11, 30.0, 1e12))
-    found = workers.digest_errors(Job(5, "none"), *worker.run(Job(5, "none"), controller))
-    assert worker.rollout(controller) is worker.rollout(controller)  # built once
-    assert (found.job, found.ticks, found.outcome.seed) == (Job(5, "none"), 15, 5)
-    assert found.squared_error_sum.shape == found.peak_normal.shape == (11,)
-    assert np.all(found.peak_normal <= found.squared_error_sum)
-    assert found.peak_disturbed is None
-    assert not found.outcome.switched  # the detector is off
+def test_help_tells_every_option(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        calibrate.parse(["--help"])
+    said = capsys.readouterr().out
+    assert all(option in said for option in ("--candidates", "--out", "--scenario", "--encoder", "--disturbed"))

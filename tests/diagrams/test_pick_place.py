@@ -202,7 +202,8 @@ def test_main_job_is_done(shipped):
     _, done = shipped[0]
     assert done.returncode == 0, done.stdout + done.stderr
     for words in (
-        "subtask 1", "disturbs the arm", "switched to the LQR", "at the initial posture", "the network resumes", "placed",
+        "subtask 1", "disturbs the arm", "switched to the LQR", "at the initial posture", "the network resumes",
+        "placed",
         "task done", "switching as it should",
     ):  # fmt: skip
         assert words in done.stdout

@@ -15,6 +15,7 @@ import numpy as np
 
 SIZE = 112
 METRES_PER_PIXEL = 0.006
+WORLD = {"period": 0.1, "camera": [112, 112, 43.0]}  # what its networks take for granted
 INITIAL_POSTURE = np.array([0.0, 0.5, 0.0, -0.5, 0.2, 0.3, 0.0, 0.08])
 OPEN, CLOSED = 0.08, 0.03
 SPOTS = {"left": np.array([-0.2, 0.18]), "right": np.array([-0.2, 0.26])}
@@ -130,6 +131,7 @@ def write(path: Path, grid: int = 4, ticks: tuple[int, int] = (50, 60), pitch: f
         data.attrs.update(
             total=len(cells) * sum(ticks),
             env_args=json.dumps({"name": "synthetic"}),
+            world=json.dumps(WORLD),
             period=0.1,
             initial_posture=INITIAL_POSTURE,
             content_hash="00" * 32,

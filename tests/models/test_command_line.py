@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from models import command_line
-from models.command_line import ROOT, run
+from models.command_line import ROOT, require_writable, run
 from models.errors import InputError
 
 
@@ -68,3 +68,15 @@ def test_the_parsers_own_exit_is_kept(given):
         sys.exit(given)
 
     assert end_of(lambda _: 0, parse) == {None: 0, "words": 1}.get(given, given)
+
+
+def test_a_file_that_can_be_written_is_left_as_it_is(tmp_path):
+    there, new = tmp_path / "there.json", tmp_path / "folder" / "new.json"
+    there.write_text("kept")
+    require_writable(there)
+    require_writable(new)
+    assert there.read_text() == "kept"
+    assert not [*new.parent.iterdir()]
+    for path in (tmp_path, there / "below.json"):
+        with pytest.raises(InputError, match="cannot be written"):
+            require_writable(path)

@@ -220,9 +220,11 @@ def test_tilt_by_hand():
 def test_outcome_is_plain_enough_for_json():
     outcome = Outcome(
         seed=1, rnn="lstm", detector="recall", disturbance="A", can_xy=(0.5, 0.0), vacant="left", picked=True,
-        placed=MONITOR.placed(poses()), home=bool(MONITOR.home(HOME)), success=MONITOR.success(poses(), HOME), switched=True,
+        placed=MONITOR.placed(poses()), home=bool(MONITOR.home(HOME)), success=MONITOR.success(poses(), HOME),
+        switched=True,
         detection_delay_s=0.2, false_switches=0, returned=True, resumed=True, switch_success=True,
-        paper_switch_success=True, alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None, switch_failure=None, sim_seconds=30.0,
+        paper_switch_success=True, alpha_max_before=0.0, return_s=2.0, resume_s=1.0, failure=None,
+        switch_failure=None, sim_seconds=30.0,
     )  # fmt: skip
     back = json.loads(json.dumps(outcome.to_dict()))
     assert (back["can_xy"], back["placed"], back["failure"]) == ([0.5, 0.0], True, None)

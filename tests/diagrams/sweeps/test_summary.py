@@ -1,20 +1,22 @@
 """Rates, intervals, deviations and paired tests of a sweep, against hand-worked numbers and other libraries."""
 
 import json
+import math
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import binomtest
 
-from diagrams.sweeps.summary import cells, comparisons, rate, spread, table
+from diagrams.sweeps.summary import cells, comparisons, rate, sign_test, spread, table
+from tests.diagrams.sweeps.rows import frame
 
 
 @pytest.mark.parametrize(("successes", "n"), [(38, 40), (40, 40), (0, 40), (115, 120), (1, 1)])
 def test_interval_is_wilsons(successes, n):
     found = rate(np.arange(n) < successes, np.zeros(n, int))
-    expected = binomtest(successes, n).proportion_ci(method="wilson")
-    assert found["interval"] == pytest.approx([expected.low, expected.high], abs=1e-9)
+    z, p = 1.959963984540054, successes / n  # Wilson 1927, by hand
+    middle, half = p + z**2 / (2 * n), z * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    assert found["interval"] == pytest.approx([(middle + s * half) / (1 + z**2 / n) for s in (-1, 1)], abs=1e-12)
     assert (found["n"], found["successes"], found["rate"]) == (n, successes, successes / n)
 
 
@@ -29,22 +31,6 @@ def test_mean_and_deviation_over_training_seeds_are_as_the_paper_gives_them():
 def test_spread_leaves_out_what_never_came():
     assert spread(pd.Series([1.0, None, 3.0])) == {"median": 2.0, "p95": pytest.approx(2.9), "n": 2}
     assert spread(pd.Series([None, None], dtype=float)) is None
-
-
-def frame(rnn, flags, detector="recall", gamma=None, training_seed=0, disturbance="A"):
-    """Rows of one controller: `flags` say which episodes succeeded, at the task and at the switching."""
-    n = len(flags)
-    flags = np.asarray(flags, bool)
-    return pd.DataFrame(
-        {
-            "rnn": rnn, "detector": detector, "gamma": np.full(n, np.nan if gamma is None else gamma),
-            "disturbance": disturbance, "training_seed": training_seed, "seed": np.arange(n), "success": flags,
-            "switch_success": flags, "paper_switch_success": flags, "failure": [None if f else "stalled" for f in flags],
-            "switch_failure": [None if f else "not resumed" for f in flags], "error": None,
-            "false_switches": 0, "detection_delay_s": 0.2, "return_s": np.linspace(1.0, 3.0, n), "resume_s": np.full(n, np.nan),
-            "sim_seconds": 40.0, "realtime_factor": 5.0,
-        }
-    )  # fmt: skip
 
 
 def test_cells_pool_the_training_seeds_and_nothing_else():
@@ -93,8 +79,12 @@ def test_comparison_is_mcnemars_exact_test_on_the_pairs():
     found = comparisons(rows)
     assert [c["measure"] for c in found] == ["task", "switching", "as_paper"]
     assert (found[0]["n"], found[0]["only_a"], found[0]["only_b"]) == (40, 9, 1)
-    assert found[0]["p"] == pytest.approx(binomtest(1, 10).pvalue)  # 22/1024, by hand
-    assert found[0]["p"] == pytest.approx(22 / 1024)
+    assert found[0]["p"] == pytest.approx(22 / 1024)  # 2 (1 + 10) / 2^10, by hand
+
+
+@pytest.mark.parametrize(("a", "b", "p"), [(0, 0, 1.0), (5, 5, 1.0), (0, 5, 2 / 32), (5, 0, 2 / 32), (1, 3, 10 / 16)])
+def test_sign_test_by_hand(a, b, p):
+    assert sign_test(a, b) == pytest.approx(p)
 
 
 def test_controllers_that_never_differ_have_p_1():

@@ -146,7 +146,7 @@ def test_topology(station):
 
 
 def test_the_plant_renders_nothing_itself(station):
-    """A renderer in the plant's scene graph would move its shapes at every step, which takes longer than the physics."""
+    """A renderer in the plant's scene graph would move its shapes at every step: longer than the physics takes."""
     assert station.scene_graph.RendererCount() == 0
     assert station.GetSubsystemByName("camera_scene").RendererCount() == 1
 
@@ -400,7 +400,10 @@ def test_no_egl_is_a_clear_error(world, monkeypatch):
 
 def test_egl_without_a_device_is_a_clear_error():
     """libEGL alone initialises, and the first picture would end the process."""
-    code = "from diagrams.world.scenario import World; from diagrams.world.station import PickPlaceStation; PickPlaceStation(World())"
+    code = (
+        "from diagrams.world.configuration import World; from diagrams.world.station import PickPlaceStation; "
+        "PickPlaceStation(World())"
+    )
     environment = os.environ | {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent.json"}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=False

@@ -17,6 +17,7 @@ from models.training.cae import CaeOptions, CaeTraining, augment, load_frames, m
 from models.training.recall import RecallOptions, RecallTraining, train_recall
 from models.training.rnn import RnnOptions, posture_scaling, train_rnn
 from models.training.trainer import step_generator
+from tests.models import synthetic
 from tests.models.conftest import make_policy
 from tests.models.outside import Elman
 
@@ -95,7 +96,7 @@ def test_each_network_trains_and_knows_where_it_comes_from(rnn_options: RnnOptio
     assert policy.regulator_gain == 0.1
     training = policy.metadata["training"]
     assert (training["steps"], training["posture_weight"]) == (2, NETWORKS[name].training_defaults["posture_weight"])
-    assert policy.metadata["data_hash"] == "00" * 32
+    assert (policy.metadata["data_hash"], policy.metadata["world"]) == ("00" * 32, synthetic.WORLD)
 
 
 def test_network_from_outside_goes_all_the_way(rnn_options: RnnOptions, tmp_path: Path) -> None:

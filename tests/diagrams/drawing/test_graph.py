@@ -1,13 +1,10 @@
-"""The diagram as a graph, the run as a timeline."""
+"""The diagram as a graph."""
 
-import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder
 
 from diagrams.drawing.graph import save_graph
-from diagrams.drawing.timeline import save_timeline
-from diagrams.episodes.record import Record
 from models.errors import InputError
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -47,39 +44,26 @@ def test_unknown_format_of_the_graph(rollout, tmp_path):
         save_graph(rollout.diagram, tmp_path / "graph.gif")
 
 
-def test_no_program_to_draw_with(tmp_path, monkeypatch):
+def small_diagram():
     builder = DiagramBuilder()
-    builder.AddNamedSystem("adder", Adder(1, 1))
-    builder.ExportInput(builder.GetSystems()[0].get_input_port(0))
-    diagram = builder.Build()
+    adder = builder.AddNamedSystem("adder", Adder(1, 1))
+    builder.ExportInput(adder.get_input_port(0))
+    return builder.Build()
+
+
+def test_no_program_to_draw_with(tmp_path, monkeypatch):
+    diagram = small_diagram()
     monkeypatch.setattr("diagrams.drawing.graph.shutil.which", lambda *arguments, **keywords: None)
     with pytest.raises(InputError, match="no program `dot`"):
         save_graph(diagram, tmp_path / "graph.svg")
     save_graph(diagram, tmp_path / "graph.dot")  # needs none
 
 
-def record(n=120):
-    ticks = np.arange(n)
-    alpha = np.where((ticks > 40) & (ticks < 90), 1.0, 0.0)
-    rng = np.random.default_rng(0)
-    return Record(
-        time=0.1 * ticks, posture=np.cumsum(rng.normal(size=(n, 8)), axis=0) * 0.01,
-        rnn_step=0.01 * rng.normal(size=(n, 8)), regulator_step=0.01 * rng.normal(size=(n, 8)),
-        desired_posture=np.zeros((n, 8)), alpha=alpha, errors=np.ones((n, 11)), hidden_state=np.zeros((n, 4)),
-        features=np.zeros((n, 3)), active=(ticks > 38) & (ticks < 50), can_poses=np.zeros((n, 14)),
-        squared_errors=np.zeros((n, 11)),
-        events=[(0.0, "subtask 1: pick the can"), (3.9, "the experimenter disturbs the arm"), (4.1, "recall fails: switched to the LQR")],
-    )  # fmt: skip
-
-
-def test_timeline_is_drawn(tmp_path):
-    save_timeline(record(), tmp_path / "new" / "timeline.png", "title")
-    assert (tmp_path / "new" / "timeline.png").read_bytes().startswith(PNG)
-
-
-def test_timeline_shows_its_parts(tmp_path):
-    save_timeline(record(), tmp_path / "timeline.svg", "the title of it")
-    text = (tmp_path / "timeline.svg").read_text()
-    for comment in ("the title of it", "time (s)", "joint 7", "the experimenter disturbs the arm"):
-        assert comment in text
-    assert "subtask 1" not in text  # only what is labelled
+@pytest.mark.parametrize("script", ["#!/bin/sh\necho 'no such\nfont' >&2; exit 3\n", "no program at all"])
+def test_a_program_that_fails_is_bad_input_and_no_traceback(tmp_path, monkeypatch, script):
+    dot = tmp_path / "dot"
+    dot.write_text(script)
+    dot.chmod(0o755)
+    monkeypatch.setattr("diagrams.drawing.graph.shutil.which", lambda *arguments, **keywords: str(dot))
+    with pytest.raises(InputError, match=r"dot cannot draw .*graph.svg \((no such font|.*rror.*)\): mend"):
+        save_graph(small_diagram(), tmp_path / "graph.svg")

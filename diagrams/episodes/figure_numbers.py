@@ -1,0 +1,129 @@
+"""What the paper's Figs. 4 to 7 show, as numbers: from weight files and from records, without running anything."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from diagrams.episodes.calibration import policy_name
+from diagrams.episodes.record import Record, find_records, load_record
+from diagrams.world.configuration import World
+from diagrams.world.names import DISTURBANCES
+from diagrams.world.task import at_home, lifted
+from models.errors import InputError
+from models.networks import NETWORKS
+
+TRAINING_SEEDS = range(10)  # that are looked for
+
+
+def recall_losses(weights: Path) -> dict[str, np.ndarray]:
+    """By the network's name (training seeds, N): mean squared error of the joints recalled n = 1..N ticks back, scaled.
+
+    Means over the episodes of the calibration, of the calibrated weight files that are there.
+    """
+    from models.files.weights import load_policy
+
+    losses = {}
+    for rnn in NETWORKS:
+        paths = [path for seed in TRAINING_SEEDS if (path := weights / policy_name(rnn, seed)).is_file()]
+        rows = [stored.mean_errors[1:] for path in paths if (stored := load_policy(path)).mean_errors is not None]
+        if rows:
+            losses[rnn] = np.array(rows)
+    return losses
+
+
+def choose_records(paths: list[Path], weights_hash: str) -> dict[str, tuple[Record, dict]]:
+    """By the disturbance, in the order of DISTURBANCES, the run that is shown: its record and its outcome.
+
+    Of those with the detector `recall` and the weights of `weights_hash`, it is the first in which all went well; under
+    B one in which the can was taken from the hand, if there is one.
+
+    Args:
+        paths: records, or folders of them.
+
+    Raises InputError where none of them fits.
+    """
+    found: dict[str, tuple[tuple, Record, dict]] = {}
+    files = find_records(paths)
+    for path in files:
+        record, outcome = load_record(path)
+        if outcome["weights_hash"] == weights_hash and outcome["detector"] == "recall":
+            taken = any("taken" in what for _, what in record.events)
+            good = int(bool(outcome["success"])) + outcome["switch_success"], taken
+            kind = outcome["disturbance"]
+            if kind not in found or good > found[kind][0]:
+                found[kind] = good, record, outcome
+    if not found:
+        raise InputError(
+            f"none of {len(files)} records is a run of these weights with the detector recall: "
+            "give --weights, --rnn and --training-seed of the run"
+        )
+    return {kind: found[kind][1:] for kind in DISTURBANCES if kind in found}
+
+
+def decoder(path: Path) -> Callable[[np.ndarray], np.ndarray]:
+    """From features (30,) to a uint8 picture (112, 112, 3), of the autoencoder file `path`; raises WeightsError."""
+    import torch
+
+    from models.files.weights import load_autoencoder
+
+    model, _ = load_autoencoder(path)
+
+    def decode(features: np.ndarray) -> np.ndarray:
+        with torch.inference_mode():
+            image = model.decode(torch.from_numpy(features)[None].float())[0]
+        return (255.0 * image.clamp(0.0, 1.0)).byte().permute(1, 2, 0).numpy()
+
+    return decode
+
+
+def reconstructions(
+    record: Record, decode: Callable[[np.ndarray], np.ndarray]
+) -> list[tuple[float, str, list[np.ndarray]]]:
+    """For each event the picture next to it and what is decoded (see `decoder`) of f_k and of f^R_{k+1} at that tick.
+
+    Returns:
+        Of each picture s, what happened, and the three pictures.
+    """
+    happened: dict[int, list[str]] = {}
+    for seconds, what in record.events:
+        nearest = int(np.argmin(np.abs(record.time[record.picture_ticks] - seconds)))
+        happened.setdefault(nearest, []).append(what)
+    columns = []
+    for n, words in happened.items():
+        k = record.picture_ticks[n]
+        pictures = [record.pictures[n], decode(record.features[k]), decode(record.predicted_features[k])]
+        columns.append((float(record.time[k]), "; ".join(words), pictures))
+    return columns
+
+
+def subtasks(home: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """(n,) 1 or 2: a subtask ends when the arm is at its initial posture; then the can is in the hand (2) or not (1).
+
+    `home`, `held`: (n,) bool.
+    """
+    last_home = np.maximum.accumulate(np.where(home, np.arange(len(home)), -1))
+    return np.where((last_home >= 0) & held[last_home], 2, 1)
+
+
+def principal_states(
+    records: Mapping[str, Record], world: World
+) -> tuple[dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]], np.ndarray, np.ndarray]:
+    """The hidden states of all runs on their first three principal components.
+
+    Returns:
+        runs: by their names in `records`, states (n, 3), the subtask (n,) 1 or 2, alpha (n,).
+        origin: (3,) c_0 = 0, to which the last state of every subtask is drawn in training.
+        ratios: (3,) contribution ratios.
+    """
+    from sklearn.decomposition import PCA
+
+    pca = PCA(3).fit(np.concatenate([record.hidden_state for record in records.values()]))
+    runs = {}
+    for name, record in records.items():
+        home = at_home(record.posture[:, :-1], world.initial_posture[:-1])
+        held = (record.posture[:, -1] <= 0.5 * world.opening) & lifted(record.can_poses)
+        runs[name] = (pca.transform(record.hidden_state), subtasks(home, held), record.alpha)
+    return runs, pca.transform(np.zeros((1, pca.n_features_in_)))[0], pca.explained_variance_ratio_

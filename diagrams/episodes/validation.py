@@ -1,0 +1,75 @@
+"""Validation episodes, on which networks are chosen and detectors calibrated. Their seeds are no evaluation's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diagrams.episodes.calibration import Controller
+from diagrams.episodes.episode import Outcome
+from diagrams.episodes.pool import Pool
+from diagrams.episodes.runner import Job, run_episode
+from diagrams.episodes.sampling import episode_seeds
+from diagrams.episodes.switching import Until
+from diagrams.episodes.thresholds import ValidationRun
+from diagrams.world.configuration import World
+from systems.detectors import DETECTORS
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Runs the validation episodes of one `seed` (0 to 99) over `pool`."""
+
+    pool: Pool
+    world: World
+    encoder: Path
+    seed: int
+
+    def run(
+        self, controller: Controller, counts: Mapping[str, int], until: Until | None = None
+    ) -> dict[str, list[ValidationRun]]:
+        """So many episodes of each kind of disturbance, by kind, in the order of their seeds.
+
+        `until`: what they end with; None, for a detector that is off: the task, or the detection where it is disturbed.
+        Raises InputError as `run_episode` does.
+        """
+        from tqdm import tqdm
+
+        seeds = episode_seeds("validation", self.seed, max(counts.values()))
+        jobs = [
+            Job(
+                self.world, self.encoder, controller, seed, kind,
+                until=until or ("task" if kind == "none" else "detection"),
+            )
+            for kind, count in counts.items()
+            for seed in seeds[:count]
+        ]  # fmt: skip
+        words = f"{controller.policy.stem} {DETECTORS.label(controller.detector)} {', '.join(counts)}"
+        done = self.pool.run(run_validation, jobs)
+        bar = tqdm(done, total=len(jobs), desc=words, unit="episode", leave=False, disable=None)
+        found = {(job.kind, job.seed): run for job, run in bar}
+        return {kind: [found[kind, seed] for seed in seeds[:count]] for kind, count in counts.items()}
+
+
+def run_validation(job: Job) -> ValidationRun:
+    """Runs one in a worker; its errors are raw, l_n, where the detector's references are 1."""
+    return ValidationRun.of(*run_episode(job))
+
+
+def tally(words: str, runs: Sequence[ValidationRun]) -> dict[str, Any]:
+    """How the tasks went, as plain types; prints it after `words`."""
+    outcomes: list[Outcome] = [run.outcome for run in runs]
+    found = {
+        "successes": sum(bool(o.success) for o in outcomes),
+        "switching": sum(o.switch_success for o in outcomes),
+        "episodes": len(outcomes),
+        "mean_seconds": float(np.mean([o.sim_seconds for o in outcomes])),
+        "failures": {f"seed {o.seed}": o.failure for o in outcomes if o.failure},
+    }
+    done = f"{found['successes']} of {len(outcomes)} tasks done, {found['mean_seconds']:.1f} s on average"
+    print(f"{words}: {done}; failures: {found['failures'] or 'none'}", flush=True)
+    return found

@@ -1,0 +1,124 @@
+"""What a sweep is asked for, checked, and the episodes that this makes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
+from diagrams.sweeps.task import Task
+from diagrams.world.configuration import World
+from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
+from models.errors import InputError
+from models.networks import NETWORKS
+from systems.detectors import DETECTORS
+
+
+@dataclass
+class SweepArguments:
+    """Every combination of the options that take several values is run, on the same episodes."""
+
+    episodes: int = 40  # of each combination
+    seed: int = 0  # episode i has the same scene and disturbance under every controller
+    purpose: Literal["evaluation", "validation"] = "evaluation"  # whose scenes: remedies are chosen on validation
+    rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn, or package.module:Class
+    detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace, or package.module:Class
+    disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
+    training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.safetensors, 1 is lstm-1.safetensors
+    until: Literal["task", "switching"] = "task"  # switching: ends once that is decided, the task is not judged
+    gamma: list[float] = field(default_factory=list)  # of the paper's rule (there 3, times mean errors), not calibrated
+    scenario: Path | None = None  # YAML whose world is used
+    workers: int = os.cpu_count() or 1  # processes of this machine
+    scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
+    weights: Path = WEIGHTS  # folder of the trained networks
+    out: Path = Path("outputs/sweep")  # folder of rows.jsonl, episodes.parquet and summary.json
+    keep_records: bool = False  # keep the record of each episode that is run in OUT/records
+    retry_errors: bool = False  # run episodes that raised an error once more
+
+    def check(self) -> None:
+        """Raises InputError for a value outside its choices; of networks and detectors `plan` does."""
+        for name in ("rnn", "detector", "disturbance", "training_seeds"):
+            if not getattr(self, name):
+                raise InputError(f"no {name.replace('_', ' ')} given: give one or more")
+        for kind in self.disturbance:
+            if kind not in DISTURBANCES:
+                raise InputError(f"there is no disturbance '{kind}': choose from {', '.join(DISTURBANCES)}")
+        for what, number, least, most in (
+            ("number of episodes", self.episodes, 1, SEEDS_APART),
+            ("seed", self.seed, 0, SEED_BLOCKS - 1),
+            ("number of workers", self.workers, 1, 1000),
+            *(("training seed", seed, 0, 999) for seed in self.training_seeds),
+        ):
+            if not least <= number <= most:
+                raise InputError(f"the {what} {number} is out of range: choose from {least} to {most}")
+        for gamma in self.gamma:
+            if not (math.isfinite(gamma) and gamma > 0.0):
+                raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
+        if self.keep_records and self.until != "task":
+            raise InputError(
+                "--keep-records keeps whole episodes, which --until switching cuts short: leave one of them out"
+            )
+
+
+def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]]:
+    """The episodes in the order of the table, and the names of the weight files that they need.
+
+    Raises InputError for an unknown network or detector, InputError or WeightsError for a file that is missing,
+    damaged, or does not fit the others or the world.
+    """
+    from diagrams.episodes.calibration import learned_hash, policy_name, stored_calibration
+    from diagrams.episodes.compatibility import require_trained_for
+    from models.files.weights import WeightsError, file_hash, load_autoencoder
+    from models.inference import Policy
+
+    folder = arguments.weights
+    detectors = _by_label(DETECTORS, arguments.detector)
+    names = {ENCODER} | {f"{label}.safetensors" for label in detectors if label != "recall"}
+    load_autoencoder(folder / ENCODER)
+    encoder_hash = file_hash(folder / ENCODER)
+    gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
+    seeds = episode_seeds(arguments.purpose, arguments.seed, arguments.episodes)
+    tasks, hashes = [], dict[str, str]()
+    for rnn, training_seed in itertools.product(_by_label(NETWORKS, arguments.rnn), _unique(arguments.training_seeds)):
+        name = policy_name(rnn, training_seed)
+        names.add(name)
+        policy = Policy(folder / name)
+        if policy.name != rnn:
+            raise WeightsError(folder / name, f"holds the network '{policy.name}', not '{rnn}'", "Give it its own name")
+        if policy.hash in hashes:
+            raise WeightsError(folder / name, f"is the same file as {hashes[policy.hash]}", "Give each seed its own")
+        hashes[policy.hash] = name
+        if policy.encoder_hash != encoder_hash:
+            raise WeightsError(folder / name, f"was trained with another autoencoder than {ENCODER}", "Give that one")
+        require_trained_for(world, policy)
+        for detector, gamma in itertools.product(detectors.values(), gammas):
+            own = stored_calibration(detector, policy, folder, gamma)
+            learned = None if detector == "recall" else learned_hash(folder, detector, policy.hash)
+            calibration = None if gamma is None else own
+            tasks += [
+                Task(
+                    world, rnn, training_seed, detector, gamma, kind, seed, policy.hash, encoder_hash, learned,
+                    calibration, arguments.until, arguments.keep_records,
+                )
+                for kind in _unique(arguments.disturbance)
+                for seed in seeds
+            ]  # fmt: skip
+    return tasks, sorted(names)
+
+
+def _unique(values: list) -> list:
+    return list(dict.fromkeys(values))
+
+
+def _by_label(registry, specs: list[str]) -> dict[str, str]:
+    """`specs` by the short names under which rows and files are kept; raises InputError for two with one name."""
+    found: dict[str, str] = {}
+    for spec in specs:
+        label = registry.label(spec)
+        if found.setdefault(label, spec) != spec:
+            raise InputError(f"{found[label]} and {spec} both have the name '{label}': give one of them another")
+    return found

@@ -1,0 +1,88 @@
+"""Which controller: detectors by their names, their files, and what is said where something is missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagrams.episodes.calibration import (
+    Calibration,
+    detector_file,
+    learned_hash,
+    make_detector,
+    policy_name,
+    stored_calibration,
+)
+from diagrams.world.configuration import World
+from models.errors import InputError
+from models.files.detectors import StoredDetector, load_detector, save_detector
+from models.files.tensors import WeightsError
+from models.inference import Policy
+from systems.detectors import DETECTORS
+from tests.diagrams.untrained import save_untrained
+
+OUTSIDE = "tests.systems.outside_detector:FarFromHome"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """An untrained network, and the detectors fitted to an arm that waves a little and calibrated for it."""
+    folder = save_untrained(tmp_path_factory.mktemp("weights"))
+    rng, home = np.random.default_rng(0), World().initial_posture[:7]
+    runs = [home + 0.1 * np.sin(0.1 * np.arange(60)[:, None] * rng.uniform(0.5, 1.5, 7)) for _ in range(3)]
+    policy = Policy(folder / "lstm.safetensors")
+    for spec in ("knn", "subspace", OUTSIDE):
+        found = {"mean_errors": [0.5] * (1 if spec == OUTSIDE else 7), "beta": 10.0, "gamma": 4.0}
+        stored = StoredDetector(DETECTORS.label(spec), DETECTORS[spec].fit(runs), {policy.hash: found})
+        save_detector(detector_file(folder, spec), stored)
+    return folder
+
+
+@pytest.mark.parametrize(("spec", "criteria"), [("recall", 11), ("knn", 7), ("subspace", 7), (OUTSIDE, 1)])
+def test_detectors_by_name(folder, spec, criteria):
+    policy = Policy(folder / "lstm.safetensors")
+    detector = make_detector(spec, policy, folder)
+    assert isinstance(detector, DETECTORS[spec])
+    assert detector.GetOutputPort("errors").size() == criteria
+    if spec != "recall":
+        assert stored_calibration(spec, policy, folder) == Calibration((0.5,) * criteria, 10.0, 4.0)
+
+
+def test_the_paper_s_rule_refers_to_the_mean_errors(folder):
+    policy = Policy(folder / "lstm.safetensors")
+    policy.mean_errors, policy.reference_errors = np.full(11, 2.0), np.full(11, 6.0)
+    assert stored_calibration("recall", policy, folder) == Calibration((6.0,) * 11, 30.0, 10.0)
+    assert stored_calibration("recall", policy, folder, gamma=3.0) == Calibration((2.0,) * 11, 30.0, 3.0)
+    assert stored_calibration("knn", policy, folder, gamma=3.0) == Calibration((0.5,) * 7, 10.0, 3.0)
+
+
+def test_the_hash_is_that_of_what_decides(folder, tmp_path):
+    policy = Policy(folder / "lstm.safetensors")
+    stored, before = load_detector(folder / "knn.safetensors", "knn"), learned_hash(folder, "knn", policy.hash)
+
+    def hash_of(changed):
+        save_detector(tmp_path / "knn.safetensors", changed)
+        return learned_hash(tmp_path, "knn", policy.hash)
+
+    found = stored.calibrations[policy.hash]
+    assert hash_of(replace(stored, calibrations=stored.calibrations | {"other": found})) == before
+    assert hash_of(replace(stored, calibrations={policy.hash: found | {"gamma": 5.0}})) != before
+    assert hash_of(replace(stored, arrays=stored.arrays | {"angles": stored.arrays["angles"] + 1})) != before
+
+
+def test_what_is_missing_is_said(folder, tmp_path):
+    policy = Policy(folder / "lstm.safetensors")
+    with pytest.raises(InputError, match="no detector 'svm'"):
+        make_detector("svm", policy, folder)
+    with pytest.raises(WeightsError, match=r"knn\.safetensors: the weight file does not exist"):
+        make_detector("knn", policy, tmp_path)
+    save_detector(tmp_path / "far.safetensors", StoredDetector("far"))
+    with pytest.raises(WeightsError, match="no calibration for the policy"):
+        stored_calibration(OUTSIDE, policy, tmp_path)
+    policy.gamma = None
+    with pytest.raises(InputError, match=r"the policy has no calibration: run diagrams/calibrate\.py"):
+        stored_calibration("recall", policy, folder)
+
+
+def test_names_of_policies():
+    assert [policy_name("gru", seed) for seed in (0, 1)] == ["gru.safetensors", "gru-1.safetensors"]

@@ -1,0 +1,45 @@
+"""The table of a sweep: what is written is read, and what cannot be used is refused at once."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from diagrams.sweeps.table import read_tables, write_table
+from models.errors import InputError
+from tests.diagrams.sweep_fakes import make_task, outcome_row
+
+
+def sweep(folder, gamma=None, **changes):
+    folder.mkdir()
+    rows = [outcome_row(folder, make_task(seed, "A", gamma=gamma)) | changes for seed in range(2)]
+    write_table(folder, rows)
+    return rows
+
+
+def test_sweeps_are_read_together_and_no_episode_twice(tmp_path):
+    own = sweep(tmp_path / "own")
+    sweep(tmp_path / "swept", gamma=3.0, success=None, failure=None, paper_switch_success=None)
+    rows = read_tables([tmp_path / "own", tmp_path / "swept"])
+    assert rows["success"].tolist() == [row["success"] for row in own] + [None, None]
+    assert rows["gamma"].isna().tolist() == [True, True, False, False]
+    assert rows["gamma"].dtype == float
+    assert rows["alpha_max_before"].tolist()[:2] == [row["alpha_max_before"] for row in own]
+    with pytest.raises(InputError, match="they would count twice"):
+        read_tables([tmp_path / "own", tmp_path / "own"])
+
+
+def test_a_table_of_another_version_is_refused(tmp_path):
+    sweep(tmp_path / "old")
+    path = tmp_path / "old" / "episodes.parquet"
+    pd.read_parquet(path).drop(columns=["paper_switch_success", "error_peak_normal"]).to_parquet(path)
+    with pytest.raises(InputError, match=r"no column paper_switch_success, error_peak_normal, another version .*again"):
+        read_tables([tmp_path / "old"])
+
+
+def test_no_table_or_a_damaged_one(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere/episodes.parquet does not exist: run diagrams/sweep.py"):
+        read_tables([Path("nowhere")])
+    (tmp_path / "episodes.parquet").write_bytes(b"PAR1 but no more")
+    with pytest.raises(InputError, match=r"episodes.parquet is damaged"):
+        read_tables([tmp_path])
