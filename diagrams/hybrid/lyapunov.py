@@ -23,7 +23,7 @@ class Lyapunov:
 
     @classmethod
     def of(cls, world: World, units: np.ndarray) -> Lyapunov:
-        """From the Riccati equation; the regulator's weights are in `units` (7, rad), the gain does not depend on them."""
+        """From the Riccati equation, the regulator's weights in `units` (7, rad); the gain does not depend on them."""
         weight = np.diag(1.0 / np.asarray(units) ** 2)
         Q, R = world.regulator.state_weight * weight, world.regulator.input_weight * weight
         K, S = lqr(ARM_JOINTS, Q, R, world.timing.period)
