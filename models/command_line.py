@@ -1,7 +1,5 @@
 """How every program begins and ends: arguments in, exit code out; bad input is one clear line and exit code 2."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import sys

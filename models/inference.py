@@ -1,7 +1,5 @@
 """The trained networks as plain numpy functions: what the systems use. One thread, batch 1, deterministic."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

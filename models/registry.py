@@ -1,7 +1,5 @@
 """Registries: the one list of the networks, and the one of the detectors, by name; open to other packages."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterator
 from importlib.metadata import entry_points

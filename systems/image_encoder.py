@@ -14,10 +14,8 @@ class ImageEncoder(LeafSystem):
     .. pydrake_system::
 
         name: ImageEncoder
-        input_ports:
-        - rgb_image
-        output_ports:
-        - features
+        input_ports: [rgb_image]
+        output_ports: [features]
 
     Inputs:
         rgb_image: ImageRgba8U of width x height pixels; its alpha channel is ignored.

@@ -1,7 +1,5 @@
 """Reads the teacher's data set (HDF5, robomimic layout) and cuts it into subtask sequences."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 from collections.abc import Iterator, Sequence

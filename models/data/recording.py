@@ -1,7 +1,5 @@
 """Writes the teacher's demonstrations to one HDF5 file in robomimic's layout, which demonstrations.py reads."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -9,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import h5py
 import numpy as np
@@ -66,7 +64,7 @@ class RecordingFile:
         self._data = self._file["data"]
         self._data.attrs.update(attributes)
 
-    def __enter__(self) -> RecordingFile:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -1,9 +1,7 @@
 """Affine scaling of each component to about [-1, 1]."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -24,7 +22,7 @@ class MinMaxScaling:
     @classmethod
     def from_data(
         cls, x: np.ndarray, margin: float = 1.1, minimum_half_range: float | np.ndarray = 1e-3
-    ) -> MinMaxScaling:
+    ) -> Self:
         """Bounds of x (T, n), their half range made `margin` times wider and no smaller than minimum_half_range."""
         low, high = np.min(x, axis=0), np.max(x, axis=0)
         half = np.maximum(0.5 * margin * (high - low), minimum_half_range)

@@ -1,7 +1,5 @@
 """Windows of joint angles and what the two baselines learn from them (Sec. IV-B)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of the detectors that learn from runs: what was learned, and a calibration for each policy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

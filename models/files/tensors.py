@@ -1,7 +1,5 @@
 """The container of every weight file: safetensors with a JSON header, written in one go and checked when read."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Weight files of the autoencoder and of the policies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

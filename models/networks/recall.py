@@ -1,7 +1,5 @@
 """Recall heads: the postures of the last N ticks out of the RNN's state alone (Eq. 4)."""
 
-from __future__ import annotations
-
 from torch import Tensor, nn
 
 

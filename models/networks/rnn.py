@@ -1,7 +1,5 @@
 """The three recurrent networks of Table I behind one interface: the state goes in and comes out."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Training of the autoencoder (Eq. 1, with the pixels of what moves weighted)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Checkpoints of a training: resumed by the same command, refused by another."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """How many millimetres the features localise the can to, on positions that the autoencoder did not see."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Training of the recall heads (Eq. 4) on the states of a finished network, all of whose weights stay."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

@@ -1,10 +1,8 @@
 """Training of the recurrent network (Eq. 2) with the regulator's pull in its output (Eq. 3, alpha = 0)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import torch
@@ -79,7 +77,7 @@ class RnnOptions(TrainingOptions):
     validate_every: int = 500
     augmentation: Augmentation = field(default_factory=Augmentation)
 
-    def with_defaults(self) -> RnnOptions:
+    def with_defaults(self) -> Self:
         """With the network's own values where none are given; raises InputError for a network that there is not."""
         own = network_class(self.rnn).training_defaults
         return replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})

@@ -3,8 +3,6 @@
 A plain loop, no Lightning: it is shorter than what bent its Trainer to batches by (seed, step) and one checkpoint.
 """
 
-from __future__ import annotations
-
 import csv
 import ctypes
 import math
