@@ -2,21 +2,19 @@
 
 import hashlib
 import json
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
 
-from models.data.demonstrations import Demonstration
+from models.data.demonstrations import SPLITS, Demonstration, hdf5_errors, number_of
 from models.errors import InputError
 
 LAYOUT_VERSION = 2
-SPLITS = ("train", "valid")
 _ARRAYS = {"obs/rgb": "rgb", "obs/posture": "posture", "actions": "actions"}  # name in the file: field of Recording
 
 
@@ -35,7 +33,7 @@ class Recording(Demonstration):
     success: bool
 
 
-class RecordingFile:
+class RecordingFile(AbstractContextManager):
     """An HDF5 file to which demonstrations are added; a context manager. An unfinished one is completed.
 
     A kill leaves either all of a demonstration or, under another name, a part of it that is written again.
@@ -51,7 +49,8 @@ class RecordingFile:
         Raises InputError where it cannot be written, is in use or damaged, or is no recording with these settings.
         """
         text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
-        with _named(path):
+        damaged = "if a kill in the middle of a write broke it, delete it"
+        with hdf5_errors(path, "written", "choose another --out", damaged):
             path.parent.mkdir(parents=True, exist_ok=True)
             if not path.exists():  # begun under another name: a kill leaves no half of a file
                 begun = path.with_name(f"{path.name}.part")
@@ -63,9 +62,6 @@ class RecordingFile:
             self._file = h5py.File(path, "r+")
         self._data = self._file["data"]
         self._data.attrs.update(attributes)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self._file.close()
@@ -108,7 +104,7 @@ def content_hash(file: h5py.File) -> str:
     """
     digest = hashlib.sha256()
     listed = [name.decode() for split in SPLITS for name in file[f"mask/{split}"][()]]
-    for name in sorted(listed, key=lambda n: int(n.split("_")[1])):
+    for name in sorted(listed, key=number_of):
         demonstration = file["data"][name]
         digest.update(name.encode())
         for key in _ARRAYS:
@@ -127,17 +123,3 @@ def _require_same(path: Path, file: h5py.File, settings: dict[str, Any]) -> None
     if others:
         words = " and another ".join(others)
         raise InputError(f"{path} was recorded with another {words}: delete it, or choose another --out")
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """What goes wrong with the file in the block is an InputError."""
-    try:
-        yield
-    except OSError as error:
-        wrong, remedy = f"cannot be written ({os.strerror(error.errno or 0)})", "choose another --out"
-        if isinstance(error, BlockingIOError) or "already open" in str(error):
-            wrong, remedy = "is in use by another program", "wait for its end, or choose another --out"
-        elif not error.errno:
-            wrong, remedy = f"is no HDF5 ({error})", "if a kill in the middle of a write broke it, delete it"
-        raise InputError(f"{path} {wrong}: {remedy}") from error

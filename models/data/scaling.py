@@ -20,9 +20,7 @@ class MinMaxScaling:
             raise ValueError("MinMaxScaling needs lower < upper, two vectors of one length")
 
     @classmethod
-    def from_data(
-        cls, x: np.ndarray, margin: float = 1.1, minimum_half_range: float | np.ndarray = 1e-3
-    ) -> Self:
+    def from_data(cls, x: np.ndarray, margin: float = 1.1, minimum_half_range: float | np.ndarray = 1e-3) -> Self:
         """Bounds of x (T, n), their half range made `margin` times wider and no smaller than minimum_half_range."""
         low, high = np.min(x, axis=0), np.max(x, axis=0)
         half = np.maximum(0.5 * margin * (high - low), minimum_half_range)
