@@ -61,16 +61,9 @@ class _SparseFull:
         flat = x.permute(0, 2, 3, 1).reshape(-1)
         active = torch.nonzero(flat).squeeze(1)
         strips = len(self.first_rows)
+        rows, offsets = (self.first_rows + active).view(-1), len(active) * torch.arange(strips)
         total = torch.ops.quantized.embedding_bag_byte_rowwise_offsets(
-            self.table,
-            (self.first_rows + active).view(-1),
-            len(active) * torch.arange(strips),
-            False,
-            0,
-            False,
-            flat[active].repeat(strips),
-            None,
-            False,
+            self.table, rows, offsets, False, 0, False, flat[active].repeat(strips), None, False
         )
         return torch.addcmul(self.bias, total.view(1, -1)[:, : self.columns], self.gain)
 
@@ -141,25 +134,19 @@ class Policy:
     """Recurrent network and recall heads of a policy file; everything scaled but initial_posture and scaling's bounds.
 
     Attributes:
+        hash: SHA-256 of the file; name: of the network.
         posture_size, feature_size, state_size, horizon: 8, 30, S, N.
         initial_state: c_0 (S,).
-        scaling: of the posture (8,).
-        initial_posture: (8,) rad and m.
-        regulator_gain: K per tick that the training assumed.
-        mean_errors, reference_errors: (N+1,), beta, gamma: None before calibration.
-        encoder_hash: of the autoencoder file that it was trained with; hash: of this file.
-        metadata: training options and whatever the calibration noted.
+        scaling, initial_posture, regulator_gain, encoder_hash, mean_errors, reference_errors, beta, gamma, metadata:
+            see StoredPolicy.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.hash = file_hash(path)
         stored = load_policy(path)
         if stored.recall is None:
-            raise WeightsError(
-                path,
-                "is a candidate without recall heads",
-                "Train them: `python -m models.training recall --policy FILE`",
-            )
+            remedy = f"Train them: `python -m models.training recall --policy {path}`"
+            raise WeightsError(path, "is a candidate without recall heads", remedy)
         self._rnn, self._heads = stored.rnn, stored.recall
         self.name = stored.rnn.name
         self.posture_size, self.feature_size = stored.rnn.posture_size, stored.rnn.feature_size

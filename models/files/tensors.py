@@ -42,12 +42,13 @@ def file_hash(path: str | Path) -> str:
 
 
 def write_tensors(path: str | Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
-    """Writes tensors and a JSON-serialisable header with its `kind`; the file gets its name only when it is whole."""
+    """Writes tensors and a header of plain types and arrays with its `kind`, in one go: the file is whole or not there."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".part")
     # One string: safetensors writes several in random order, and the same content would get another hash each time.
-    save_file(tensors, partial, {"header": json.dumps({"format": FORMAT} | header, sort_keys=True)})
+    text = json.dumps({"format": FORMAT} | header, sort_keys=True, default=lambda array: array.tolist())
+    save_file(tensors, partial, {"header": text})
     partial.chmod(0o644)
     os.replace(partial, path)
 

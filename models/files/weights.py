@@ -65,10 +65,10 @@ def save_autoencoder(path: str | Path, model: ConvolutionalAutoencoder, metadata
 def load_autoencoder(path: str | Path) -> tuple[ConvolutionalAutoencoder, dict[str, Any]]:
     """The autoencoder on its stored (dequantised) weights, in eval mode, and its metadata."""
     tensors, header = read_autoencoder(path)
-    scales = {name: tensors.pop(name) for name in [n for n in tensors if n.endswith(SCALE)]}
     state = {
-        name: dequantise(value, scales[name + SCALE]) if value.dtype == torch.int8 else value.float()
+        name: dequantise(value, tensors[name + SCALE]) if value.dtype == torch.int8 else value.float()
         for name, value in tensors.items()
+        if not name.endswith(SCALE)
     }
     try:
         model, metadata = ConvolutionalAutoencoder(header["feature_activation"]), header["metadata"]
@@ -107,14 +107,9 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
         "recall": None if policy.recall is None else {"horizon": policy.recall.horizon, "hidden": policy.recall.hidden},
         "lower": policy.scaling.lower.tolist(),
         "upper": policy.scaling.upper.tolist(),
-        "initial_posture": np.asarray(policy.initial_posture, float).tolist(),
-        "regulator_gain": float(policy.regulator_gain),
-        "mean_errors": _numbers(policy.mean_errors),
-        "reference_errors": _numbers(policy.reference_errors),
-        "beta": policy.beta,
-        "gamma": policy.gamma,
-        "metadata": policy.metadata,
     }
+    plain = ("initial_posture", "regulator_gain", "mean_errors", "reference_errors", "beta", "gamma", "metadata")
+    header |= {name: getattr(policy, name) for name in plain}
     write_tensors(path, tensors, header)
 
 
@@ -123,9 +118,8 @@ def load_policy(path: str | Path) -> StoredPolicy:
     tensors, header = read_tensors(path, "policy")
     try:
         rnn = make_rnn(header["rnn"], header["posture_size"], header["feature_size"])
-        recall = None
-        if header["recall"] is not None:
-            recall = RecallHeads(rnn.state_size, rnn.posture_size, **header["recall"])
+        heads = header["recall"]
+        recall = None if heads is None else RecallHeads(rnn.state_size, rnn.posture_size, **heads)
         policy = StoredPolicy(
             rnn=rnn.eval(),
             recall=recall,
@@ -149,10 +143,6 @@ def load_policy(path: str | Path) -> StoredPolicy:
     return policy
 
 
-def _numbers(vector: np.ndarray | None) -> list[float] | None:
-    return None if vector is None else np.asarray(vector, float).tolist()
-
-
 def _array(numbers: list[float] | None) -> np.ndarray | None:
     return None if numbers is None else np.array(numbers)
 
@@ -162,11 +152,7 @@ def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 
 def _fill(path: str | Path, module: nn.Module, state: dict[str, Tensor]) -> None:
-    own = module.state_dict()
-    state = state | {name: value for name, value in own.items() if name.endswith("num_batches_tracked")}
-    bad = sorted(own.keys() ^ state.keys()) + sorted(
-        n for n in own.keys() & state.keys() if own[n].shape != state[n].shape
-    )
-    if bad:
-        raise WeightsError(path, f"does not fit the network at {', '.join(bad[:4])}", RETRAIN)
-    module.load_state_dict(state)
+    try:
+        module.load_state_dict(state)
+    except RuntimeError as error:
+        raise WeightsError(path, f"does not fit the network ({' '.join(str(error).split())[:200]})", RETRAIN) from error

@@ -134,8 +134,6 @@ def _check_done(out: Path, options: RecallOptions, path: Path, candidate: Stored
     """Raises InputError where `out` holds another network, or heads that were trained with other options."""
     done = load_policy(out)
     refuse_other(out, done.metadata.get("recall_training", {}), options.as_metadata())
-    states = done.rnn.state_dict(), candidate.rnn.state_dict()
-    if states[0].keys() != states[1].keys() or not all(
-        torch.equal(states[0][name], states[1][name]) for name in states[0]
-    ):
+    a, b = done.rnn.state_dict(), candidate.rnn.state_dict()
+    if a.keys() != b.keys() or not all(torch.equal(a[name], b[name]) for name in a):
         raise InputError(f"{out} was made from another network than {path}: give another --out")

@@ -57,7 +57,6 @@ def rnn_options(data_file: Path, encoder_file: Path) -> RnnOptions:
         batch_size=4,
         checkpoint_every=2,
         validate_every=2,
-        progress=False,
     )
 
 

@@ -36,7 +36,6 @@ def recall_options(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> 
         features=rnn_options.features,
         steps=3,
         batch_size=4,
-        progress=False,
     )
 
 
@@ -103,10 +102,10 @@ def test_network_from_outside_goes_all_the_way(rnn_options: RnnOptions, tmp_path
         f"--data {rnn_options.data} --encoder {rnn_options.encoder} --features {rnn_options.features} --out {tmp_path}"
     )
     spec = f"{Elman.__module__}:Elman"
-    assert main(parse(f"rnn --rnn {spec} {files} --batch-size 4 --no-progress".split())) == 0
+    assert main(parse(f"rnn --rnn {spec} {files} --batch-size 4".split())) == 0
     candidate = tmp_path / "rnn-3.safetensors"
     assert isinstance(load_policy(candidate).rnn, Elman)
-    assert main(parse(f"recall --policy {candidate} {files} --batch-size 4 --steps 2 --no-progress".split())) == 0
+    assert main(parse(f"recall --policy {candidate} {files} --batch-size 4 --steps 2".split())) == 0
     policy = Policy(tmp_path / "policy-3.safetensors")
     assert policy.metadata["training"]["rnn"] == spec
     y, state = policy.step(np.zeros(38), policy.initial_state)
