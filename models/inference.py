@@ -80,14 +80,13 @@ class Encoder:
     Attributes:
         feature_size: 30.
         hash: SHA-256 of the file.
-        metadata: training options, hash of the data set.
     """
 
     feature_size = FEATURE_SIZE
 
     def __init__(self, path: str | Path) -> None:
         self.hash = file_hash(path)
-        self._model, self.metadata = load_autoencoder(path)
+        self._model, _ = load_autoencoder(path)
         stored = read_autoencoder(path)[0]
         layers: Any = self._model.encoder
         with torch.no_grad():

@@ -42,11 +42,8 @@ class RecordingFile(AbstractContextManager):
     def __init__(self, path: Path, settings: dict[str, Any], attributes: dict[str, Any]):
         """Opens or begins the file.
 
-        Args:
-            settings: plain types that decide the content; a file with others is refused, untouched.
-            attributes: of the whole file.
-
-        Raises InputError where it cannot be written, is in use or damaged, or is no recording with these settings.
+        `settings`: plain types that decide the content; `attributes`: of the whole file. Raises InputError where it
+        cannot be written, is in use or damaged, or is no recording with these settings: it is left untouched.
         """
         text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
         damaged = "if a kill in the middle of a write broke it, delete it"

@@ -40,14 +40,9 @@ def pack_sequences(
     target: str = "posture",
     padding: int = 0,
 ) -> SequencePack:
-    """Cuts demonstrations into trimmed subtasks; each gets `padding` ticks of rest after its end.
+    """Cuts demonstrations into trimmed subtasks; the longest gets `padding` ticks of rest after its end.
 
-    Args:
-        demos: demonstrations.
-        features: features (T, 30) by the demonstration's name.
-        scaling: of the posture.
-        target: "posture": m_{k+1} as measured; "action": as commanded at k.
-        padding: extra ticks after the longest sequence.
+    `features`: (T, 30) by the demonstration's name; `target`: m_{k+1}, "posture" as measured, "action" as commanded at k.
     """
     cuts = [
         (demo, start, stop, end - 1, subtask)
@@ -95,9 +90,7 @@ def make_batch(
 ) -> Batch:
     """Time-first batch of a pack (all its sequences), augmented unless options is None.
 
-    Args:
-        initial: scaled initial posture (8,).
-        joints: components that the regulator pulls and the joint noise moves; the rest is the finger.
+    `initial`: scaled (8,); `joints`: components that the regulator pulls and the joint noise moves, before the finger.
     """
     x, size = pack.x.transpose(0, 1).contiguous(), len(initial)
     clean = x[..., :size]
@@ -118,8 +111,6 @@ def run(rnn: RecurrentNetwork, batch: Batch, state: Tensor) -> tuple[Tensor, Ten
 
 def errors(y: Tensor, batch: Batch, gain: float) -> tuple[Tensor, Tensor]:
     """Squared errors of the command y - K (m - m_init) (T, B, 8) (Eq. 3, alpha = 0) and of the features (T, B, 30)."""
-    size = batch.clean.shape[-1]
-    ticks = len(y)
-    command = y[..., :size] - gain * batch.pull[:ticks]
-    target = batch.target[:ticks]
+    ticks, size = len(y), batch.clean.shape[-1]
+    command, target = y[..., :size] - gain * batch.pull[:ticks], batch.target[:ticks]
     return (command - target[..., :size]).square(), (y[..., size:] - target[..., size:]).square()

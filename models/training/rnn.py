@@ -150,7 +150,6 @@ class RnnTraining(SequenceTraining):
         return loss, {"loss": loss, "posture": posture_loss, "feature": feature_loss, "state": state_loss}
 
     def validate(self, done: int) -> dict[str, float]:
-        """See validation.py."""
         if done % self.options.validate_every and done != self.steps:
             return {}
         return validate(self.rnn, self.valid_pack, self.initial, self.options.regulator_gain, JOINTS)

@@ -23,7 +23,7 @@ from models.training.checkpoint import Checkpoint
 
 # Options that name places and this machine: they are not written into weight files.
 _LOCAL = {"data", "out", "device", "encoder", "features", "policy", "start_from"}
-_COUNTS = ("steps", "batch_size", "max_images", "frame_stride", "horizon", "checkpoint_every", "validate_every")
+_COUNTS = ("steps", "batch_size", "max_images", "horizon", "checkpoint_every", "validate_every")
 
 
 @dataclass(kw_only=True)
@@ -99,10 +99,8 @@ def fit(
     """Trains to training.steps, from OUT/NAME.ckpt if it is there; logs to OUT/NAME.csv and OUT/NAME-validation.csv.
 
     Args:
-        training: see Training.
         options: TrainingOptions with checkpoint_every.
         made_from: hashes of data and weights that the training starts from.
-        name: of the checkpoint and the log.
         clip: largest norm of the gradient.
         log_every: updates between rows of the log.
 
