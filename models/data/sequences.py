@@ -34,23 +34,17 @@ class SequencePack:
 
 
 def pack_sequences(
-    demos: list[Demonstration],
-    features: dict[str, np.ndarray],
-    scaling: MinMaxScaling,
-    target: str = "posture",
-    padding: int = 0,
+    demos: list[Demonstration], features: dict[str, np.ndarray], scaling: MinMaxScaling, target: str, padding: int
 ) -> SequencePack:
     """Cuts demonstrations into trimmed subtasks; the longest gets `padding` ticks of rest after its end.
 
-    `features`: (T, 30) by the demonstration's name; `target`: m_{k+1}, "posture" as measured, "action" as commanded at k.
+    `features`: (T, 30) by the demonstration's name; `target`: m_{k+1} as measured ("posture") or commanded ("action").
     """
-    cuts = [
-        (demo, start, stop, end - 1, subtask)
-        for demo in demos
-        for subtask, ((start, stop), end) in enumerate(
-            zip(subtask_ranges(demo), [*demo.subtask_starts[1:], len(demo.posture)], strict=True)
-        )
-    ]
+    cuts = []
+    for demo in demos:
+        ends = [*demo.subtask_starts[1:], len(demo.posture)]
+        ranges = zip(subtask_ranges(demo), ends, strict=True)
+        cuts += [(demo, start, stop, end - 1, subtask) for subtask, ((start, stop), end) in enumerate(ranges)]
     ticks = np.arange(max(stop - start for _, start, stop, _, _ in cuts) + padding)
     rows = []
     for demo, start, stop, last, _ in cuts:

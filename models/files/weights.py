@@ -17,6 +17,10 @@ from models.networks.cae import ConvolutionalAutoencoder
 from models.networks.recall import RecallHeads
 from models.networks.rnn import RecurrentNetwork, make_rnn
 
+# Fields of a StoredPolicy that the header holds under their own names.
+_PLAIN = ("regulator_gain", "encoder_hash", "beta", "gamma", "metadata")
+_VECTORS = ("initial_posture", "mean_errors", "reference_errors")
+
 
 @dataclass
 class StoredPolicy:
@@ -103,13 +107,11 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
         "rnn": policy.rnn.spec,
         "posture_size": policy.rnn.posture_size,
         "feature_size": policy.rnn.feature_size,
-        "encoder_hash": policy.encoder_hash,
         "recall": None if policy.recall is None else {"horizon": policy.recall.horizon, "hidden": policy.recall.hidden},
         "lower": policy.scaling.lower.tolist(),
         "upper": policy.scaling.upper.tolist(),
     }
-    plain = ("initial_posture", "regulator_gain", "mean_errors", "reference_errors", "beta", "gamma", "metadata")
-    header |= {name: getattr(policy, name) for name in plain}
+    header |= {name: getattr(policy, name) for name in _PLAIN + _VECTORS}
     write_tensors(path, tensors, header)
 
 
@@ -120,19 +122,9 @@ def load_policy(path: str | Path) -> StoredPolicy:
         rnn = make_rnn(header["rnn"], header["posture_size"], header["feature_size"])
         heads = header["recall"]
         recall = None if heads is None else RecallHeads(rnn.state_size, rnn.posture_size, **heads)
-        policy = StoredPolicy(
-            rnn=rnn.eval(),
-            recall=recall,
-            scaling=MinMaxScaling(header["lower"], header["upper"]),
-            initial_posture=np.array(header["initial_posture"], float),
-            regulator_gain=float(header["regulator_gain"]),
-            encoder_hash=header["encoder_hash"],
-            mean_errors=_array(header["mean_errors"]),
-            reference_errors=_array(header.get("reference_errors")),
-            beta=header["beta"],
-            gamma=header["gamma"],
-            metadata=header["metadata"],
-        )
+        stored = {name: header[name] for name in _PLAIN}
+        stored |= {name: None if header[name] is None else np.array(header[name]) for name in _VECTORS}
+        policy = StoredPolicy(rnn.eval(), recall, MinMaxScaling(header["lower"], header["upper"]), **stored)
     except InputError as error:
         raise WeightsError(path, f"its network cannot be built ({error})", "Install what defines it") from error
     except (KeyError, TypeError, ValueError) as error:
@@ -141,10 +133,6 @@ def load_policy(path: str | Path) -> StoredPolicy:
     if recall is not None:
         _fill(path, recall.eval(), _part(tensors, "recall."))
     return policy
-
-
-def _array(numbers: list[float] | None) -> np.ndarray | None:
-    return None if numbers is None else np.array(numbers)
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

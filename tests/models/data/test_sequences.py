@@ -31,7 +31,7 @@ def test_pack_aligns_targets_one_tick_ahead_and_rests_at_the_end() -> None:
     one = demo(ramp(12, 10, 20), ramp(2, 10, 5))
     one.posture[:] += 1e-4 * np.arange(len(one.posture))[:, None]
     features = {"demo_0": np.arange(len(one.posture))[:, None] * np.ones(30)}
-    pack = pack_sequences([one], features, MinMaxScaling(-np.ones(8), np.ones(8)), padding=4)
+    pack = pack_sequences([one], features, MinMaxScaling(-np.ones(8), np.ones(8)), "posture", 4)
     assert pack.length.tolist() == [26, 17]
     assert pack.subtask.tolist() == [0, 1]
     assert pack.x[0, :, 8].tolist() == [*range(9, 35), 34, 34, 34, 34]
