@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from models.files.quantisation import SCALE
 from models.files.weights import WeightsError, file_hash, load_autoencoder, load_policy, read_autoencoder
 from models.networks.cae import CHANNELS, FEATURE_SIZE, IMAGE_SIZE, to_image
 
@@ -94,9 +95,8 @@ class Encoder:
                 _FoldedConvolution(getattr(layers, f"conv{i}"), getattr(layers, f"conv{i}_norm"), n)
                 for i, n in enumerate((IMAGE_SIZE, 55, 26))
             ]
-            self._full = _SparseFull(
-                stored["encoder.full.weight"], stored["encoder.full.weight.row_scale"], layers.full_norm
-            )
+            full = "encoder.full.weight"
+            self._full = _SparseFull(stored[full], stored[full + SCALE], layers.full_norm)
             gain, self._bias = _fold(layers.feature_norm)
             self._weight = layers.feature.weight * gain[:, None]
         self._activation = layers.feature_activation

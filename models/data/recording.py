@@ -95,10 +95,7 @@ class RecordingFile(AbstractContextManager):
 
 
 def content_hash(file: h5py.File) -> str:
-    """SHA-256 of the demonstrations in the mask, arrays and attributes, in the order of their numbers.
-
-    Equal for equal content, however it was written.
-    """
+    """SHA-256 of the demonstrations in the mask, arrays and attributes, by number: not of the order of writing."""
     digest = hashlib.sha256()
     listed = [name.decode() for split in SPLITS for name in file[f"mask/{split}"][()]]
     for name in sorted(listed, key=number_of):

@@ -84,7 +84,6 @@ class RecallTraining(SequenceTraining):
         return self.out if done == self.steps else None
 
     def export(self, path: Path, done: int) -> None:
-        """Writes network and heads."""
         self.policy.recall = self.heads
         save_policy(path, self.policy)
 

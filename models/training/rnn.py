@@ -104,8 +104,8 @@ class SequenceTraining(Training):
 
     def __init__(self, options: Any, carry_over: float, train: SequencePack, policy: StoredPolicy) -> None:
         super().__init__(options.steps, options.learning_rate, options.final_rate)
-        self.options, self.carry_over, self.train_pack, self.policy = options, carry_over, train, policy
-        self.rnn = policy.rnn
+        self.options, self.carry_over, self.train_pack = options, carry_over, train
+        self.policy, self.rnn = policy, policy.rnn
         self.initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
         # Late states of earlier sequences; row 0 stays c_0.
         self.register_buffer("pool", torch.zeros(POOL, self.rnn.state_size))
@@ -159,7 +159,6 @@ class RnnTraining(SequenceTraining):
         return self.options.out / f"rnn-{done}.safetensors"
 
     def export(self, path: Path, done: int) -> None:
-        """Writes the candidate of this update."""
         self.policy.metadata["step"] = done
         save_policy(path, self.policy)
 
