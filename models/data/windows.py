@@ -18,7 +18,7 @@ def posture_windows(runs: Sequence[np.ndarray], window: int = WINDOW) -> np.ndar
 
 
 def leading_axes(windows: np.ndarray) -> np.ndarray:
-    """The first left singular vectors of each joint's windows, not centred, as columns: (J, n, w) to (J, w, 2) float32."""
+    """The first left singular vectors of each joint's windows, not centred, (J, n, w) to columns (J, w, 2) float32."""
     from sklearn.decomposition import TruncatedSVD
 
     axes = [TruncatedSVD(AXES, algorithm="arpack", random_state=0).fit(rows).components_.T for rows in windows]
