@@ -1,7 +1,5 @@
 """How every program begins and ends: arguments in, exit code out; bad input is one clear line and exit code 2."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import sys
@@ -22,12 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]  # of the checkout
 
 
 def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
-    """Ends the process with the exit code of `main(arguments())`; 2, after one line on stderr, for bad input.
-
-    Args:
-        main: takes what `arguments` returns; raises InputError for bad input.
-        arguments: reads the command line.
-    """
+    """Ends the process with the exit code of `main(arguments())`; 2, after one line on stderr, for an InputError."""
     try:
         require_checkout()
         code = main(arguments())
@@ -69,10 +62,7 @@ def require_checkout() -> None:
 
 
 def require_writable(path: Path) -> None:
-    """Raises InputError unless the file `path` can be written, before work is done for it.
-
-    What is there is left as it is.
-    """
+    """Raises InputError unless the file `path`, which is left as it is, can be written; before work is done for it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():

@@ -1,7 +1,5 @@
 """The trained networks as plain numpy functions: what the systems use. One thread, batch 1, deterministic."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from models.files.quantisation import SCALE
 from models.files.weights import WeightsError, file_hash, load_autoencoder, load_policy, read_autoencoder
 from models.networks.cae import CHANNELS, FEATURE_SIZE, IMAGE_SIZE, to_image
 
@@ -63,16 +62,9 @@ class _SparseFull:
         flat = x.permute(0, 2, 3, 1).reshape(-1)
         active = torch.nonzero(flat).squeeze(1)
         strips = len(self.first_rows)
+        rows, offsets = (self.first_rows + active).view(-1), len(active) * torch.arange(strips)
         total = torch.ops.quantized.embedding_bag_byte_rowwise_offsets(
-            self.table,
-            (self.first_rows + active).view(-1),
-            len(active) * torch.arange(strips),
-            False,
-            0,
-            False,
-            flat[active].repeat(strips),
-            None,
-            False,
+            self.table, rows, offsets, False, 0, False, flat[active].repeat(strips), None, False
         )
         return torch.addcmul(self.bias, total.view(1, -1)[:, : self.columns], self.gain)
 
@@ -89,14 +81,13 @@ class Encoder:
     Attributes:
         feature_size: 30.
         hash: SHA-256 of the file.
-        metadata: training options, hash of the data set.
     """
 
     feature_size = FEATURE_SIZE
 
     def __init__(self, path: str | Path) -> None:
         self.hash = file_hash(path)
-        self._model, self.metadata = load_autoencoder(path)
+        self._model, _ = load_autoencoder(path)
         stored = read_autoencoder(path)[0]
         layers: Any = self._model.encoder
         with torch.no_grad():
@@ -104,9 +95,8 @@ class Encoder:
                 _FoldedConvolution(getattr(layers, f"conv{i}"), getattr(layers, f"conv{i}_norm"), n)
                 for i, n in enumerate((IMAGE_SIZE, 55, 26))
             ]
-            self._full = _SparseFull(
-                stored["encoder.full.weight"], stored["encoder.full.weight.row_scale"], layers.full_norm
-            )
+            full = "encoder.full.weight"
+            self._full = _SparseFull(stored[full], stored[full + SCALE], layers.full_norm)
             gain, self._bias = _fold(layers.feature_norm)
             self._weight = layers.feature.weight * gain[:, None]
         self._activation = layers.feature_activation
@@ -143,25 +133,19 @@ class Policy:
     """Recurrent network and recall heads of a policy file; everything scaled but initial_posture and scaling's bounds.
 
     Attributes:
+        hash: SHA-256 of the file; name: of the network.
         posture_size, feature_size, state_size, horizon: 8, 30, S, N.
         initial_state: c_0 (S,).
-        scaling: of the posture (8,).
-        initial_posture: (8,) rad and m.
-        regulator_gain: K per tick that the training assumed.
-        mean_errors, reference_errors: (N+1,), beta, gamma: None before calibration.
-        encoder_hash: of the autoencoder file that it was trained with; hash: of this file.
-        metadata: training options and whatever the calibration noted.
+        scaling, initial_posture, regulator_gain, encoder_hash, mean_errors, reference_errors, beta, gamma, metadata:
+            see StoredPolicy.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.hash = file_hash(path)
         stored = load_policy(path)
         if stored.recall is None:
-            raise WeightsError(
-                path,
-                "is a candidate without recall heads",
-                "Train them: `python -m models.training recall --policy FILE`",
-            )
+            remedy = f"Train them: `python -m models.training recall --policy {path}`"
+            raise WeightsError(path, "is a candidate without recall heads", remedy)
         self._rnn, self._heads = stored.rnn, stored.recall
         self.name = stored.rnn.name
         self.posture_size, self.feature_size = stored.rnn.posture_size, stored.rnn.feature_size

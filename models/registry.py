@@ -1,7 +1,5 @@
 """Registries: the one list of the networks, and the one of the detectors, by name; open to other packages."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterator
 from importlib.metadata import entry_points
@@ -34,7 +32,15 @@ class Registry(Generic[T]):
             raise InputError(
                 f"there is no {self.what} '{spec}': choose from {', '.join(known)}, or give one as package.module:Class"
             )
-        return self._load(known.get(spec, spec))
+        module, _, name = known.get(spec, spec).partition(":")
+        try:
+            entry = getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError, ValueError) as error:
+            wrong = f"the {self.what} '{spec}' cannot be loaded ({error}): check the name and PYTHONPATH"
+            raise InputError(wrong) from error
+        if not isinstance(getattr(entry, "name", None), str):
+            raise InputError(f"the {self.what} '{spec}' has no attribute `name`: give it a short one")
+        return entry
 
     def check(self, spec: str) -> None:
         """Raises InputError unless `spec` names something; loads only what is given as `package.module:Class`."""
@@ -47,15 +53,3 @@ class Registry(Generic[T]):
 
     def _specs(self) -> dict[str, str]:
         return self._entries | {point.name: point.value for point in entry_points(group=f"hindsight.{self.what}s")}
-
-    def _load(self, spec: str) -> T:
-        module, _, name = spec.partition(":")
-        try:
-            entry = getattr(importlib.import_module(module), name)
-        except (ImportError, AttributeError, ValueError) as error:
-            raise InputError(
-                f"the {self.what} '{spec}' cannot be loaded ({error}): check the name and PYTHONPATH"
-            ) from error
-        if not isinstance(getattr(entry, "name", None), str):
-            raise InputError(f"the {self.what} '{spec}' has no attribute `name`: give it a short one")
-        return entry

@@ -28,15 +28,8 @@ def AlphaMixer_(T):
         .. pydrake_system::
 
             name: AlphaMixer
-            input_ports:
-            - posture
-            - predicted_posture
-            - regulator_step
-            - alpha
-            - last_alphas
-            output_ports:
-            - desired_posture
-            - rnn_step
+            input_ports: [posture, predicted_posture, regulator_step, alpha, last_alphas]
+            output_ports: [desired_posture, rnn_step]
 
         Inputs (postures in the unit of the bounds, scaled or physical; steps in that unit per tick):
             posture: (M,) m_k as sampled at the tick, so that the command is constant between ticks.

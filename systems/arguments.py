@@ -23,13 +23,12 @@ def require_positive(name: str, value: float) -> float:
     return float(value)
 
 
-def require_vector(name: str, value, size: int, *, minimum: float | None = None, allow_nan: bool = False) -> np.ndarray:
-    """Returns a float copy of `value`, shape (size,); raises ValueError on another shape, on values that are not
-    finite (NaN passes if `allow_nan`), and on values < `minimum`."""
+def require_vector(name: str, value, size: int, *, minimum: float | None = None) -> np.ndarray:
+    """Returns a float copy of `value`; raises ValueError unless its shape is (size,), all finite and >= `minimum`."""
     vector = np.array(value, dtype=float)
     if vector.shape != (size,):
         raise ValueError(f"{name} has shape {vector.shape}; it must have shape ({size},): pass one number a component.")
-    if not np.all(np.isfinite(vector) | (np.isnan(vector) if allow_nan else False)):
+    if not np.all(np.isfinite(vector)):
         raise ValueError(f"{name} is {vector}; every component must be finite: remove NaN and infinite values.")
     if minimum is not None and np.any(vector < minimum):
         raise ValueError(f"{name} is {vector}; every component must be at least {minimum}: raise the smaller ones.")

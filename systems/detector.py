@@ -22,8 +22,6 @@ finds by a name or as `package.module:Class`, offers beside the ports:
     set_calibration(context, reference_errors, beta, gamma): of one Context; see CalibratedDetector, which has it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -29,12 +29,8 @@ class Disturbance(LeafSystem):
     .. pydrake_system::
 
         name: Disturbance
-        input_ports:
-        - desired_posture
-        - trigger
-        output_ports:
-        - disturbed_posture
-        - active
+        input_ports: [desired_posture, trigger]
+        output_ports: [disturbed_posture, active]
 
     Inputs:
         desired_posture: (M,) command of the controller, physical units.

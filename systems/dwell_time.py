@@ -22,11 +22,8 @@ def DwellTime_(T):
         .. pydrake_system::
 
             name: DwellTime
-            input_ports:
-            - detector_alpha
-            - last_alphas
-            output_ports:
-            - alpha
+            input_ports: [detector_alpha, last_alphas]
+            output_ports: [alpha]
 
         Inputs:
             detector_alpha: (1,) in [0, 1].

@@ -7,6 +7,8 @@ from pydrake.systems.sensors import ImageRgba8U
 
 from systems.arguments import require_count
 
+ENCODED = 112  # width and height of the image that the encoder takes, pixels
+
 
 class ImageEncoder(LeafSystem):
     """Encodes the image, f_k = encode(image).
@@ -14,30 +16,26 @@ class ImageEncoder(LeafSystem):
     .. pydrake_system::
 
         name: ImageEncoder
-        input_ports:
-        - rgb_image
-        output_ports:
-        - features
+        input_ports: [rgb_image]
+        output_ports: [features]
 
     Inputs:
         rgb_image: ImageRgba8U of width x height pixels; its alpha channel is ignored.
     Outputs:
         features: (F,) image features, dimensionless, in [-1, 1]. Direct feedthrough; cached until the image changes.
 
-    A larger image is first averaged down to encoded_size x encoded_size.
+    A larger image is first averaged down to 112 x 112 pixels.
     """
 
-    def __init__(self, encoder, width: int = 112, height: int = 112, encoded_size: int = 112):
+    def __init__(self, encoder, width: int = ENCODED, height: int = ENCODED):
         """
         Args:
-            encoder: any object with `encode(rgb uint8 (encoded_size, encoded_size, 3)) -> (F,)` and `feature_size` F.
-            width, height: of the image at the port, pixels; equal, and at least `encoded_size`.
-            encoded_size: width and height of the image that the encoder takes, pixels.
+            encoder: any object with `encode(rgb uint8 (112, 112, 3)) -> (F,)` and `feature_size` F.
+            width, height: of the image at the port, pixels; equal, and at least 112.
         """
         super().__init__()
-        self._encoded_size = require_count("encoded_size", encoded_size)
-        self._width = require_count("width", width, self._encoded_size)
-        self._height = require_count("height", height, self._encoded_size)
+        self._width = require_count("width", width, ENCODED)
+        self._height = require_count("height", height, ENCODED)
         if self._width != self._height:
             raise ValueError(
                 f"The image is {width} x {height} pixels; the encoder was trained on square images, and another aspect "
@@ -57,6 +55,6 @@ class ImageEncoder(LeafSystem):
                 f"{self._height}: pass the camera's size as width and height."
             )
         rgb = cv2.cvtColor(image.data, cv2.COLOR_RGBA2RGB)  # a tenth of the time of numpy's slice and copy
-        if self._width != self._encoded_size:
-            rgb = cv2.resize(rgb, (self._encoded_size, self._encoded_size), interpolation=cv2.INTER_AREA)
+        if self._width != ENCODED:
+            rgb = cv2.resize(rgb, (ENCODED, ENCODED), interpolation=cv2.INTER_AREA)
         output.SetFromVector(self._encoder.encode(rgb))

@@ -13,13 +13,8 @@ class KnnDetector(WindowDetector):
     .. pydrake_system::
 
         name: KnnDetector
-        input_ports:
-        - posture_history
-        - recalled_postures
-        - hidden_state
-        output_ports:
-        - errors
-        - alpha
+        input_ports: [posture_history, recalled_postures, hidden_state]
+        output_ports: [errors, alpha]
 
     Ports: see WindowDetector. Needs scikit-learn.
     """

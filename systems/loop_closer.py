@@ -16,14 +16,8 @@ def LoopCloser_(T):
         .. pydrake_system::
 
             name: LoopCloser
-            input_ports:
-            - posture
-            - features
-            - predicted_posture
-            - predicted_features
-            - alpha
-            output_ports:
-            - network_input
+            input_ports: [posture, features, predicted_posture, predicted_features, alpha]
+            output_ports: [network_input]
 
         Inputs (all scaled, dimensionless):
             posture: (M,) m_k, measured.

@@ -12,11 +12,8 @@ class PostureHistory(LeafSystem):
     .. pydrake_system::
 
         name: PostureHistory
-        input_ports:
-        - posture
-        output_ports:
-        - posture
-        - posture_history
+        input_ports: [posture]
+        output_ports: [posture, posture_history]
 
     Inputs:
         posture: (M,) the measured posture, continuous in time.

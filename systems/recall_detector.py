@@ -31,13 +31,8 @@ def RecallDetector_(T):
         .. pydrake_system::
 
             name: RecallDetector
-            input_ports:
-            - posture_history
-            - recalled_postures
-            - hidden_state
-            output_ports:
-            - errors
-            - alpha
+            input_ports: [posture_history, recalled_postures, hidden_state]
+            output_ports: [errors, alpha]
 
         Ports: see systems/detector.py; errors (N + 1,): l_n / r_n, n = 0 .. N. `hidden_state` is left unread.
         Direct feedthrough of both postures; converts to AutoDiffXd.

@@ -12,13 +12,8 @@ class RecurrentPolicy(LeafSystem):
     .. pydrake_system::
 
         name: RecurrentPolicy
-        input_ports:
-        - network_input
-        output_ports:
-        - predicted_posture
-        - predicted_features
-        - recalled_postures
-        - hidden_state
+        input_ports: [network_input]
+        output_ports: [predicted_posture, predicted_features, recalled_postures, hidden_state]
 
     Inputs:
         network_input: (M + F,) the scaled posture and the image features, x_k of Eqs. 7 and 8; dimensionless.

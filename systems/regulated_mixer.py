@@ -13,15 +13,8 @@ class RegulatedMixer(Diagram):
     .. pydrake_system::
 
         name: RegulatedMixer
-        input_ports:
-        - posture
-        - predicted_posture
-        - alpha
-        - last_alphas
-        output_ports:
-        - desired_posture
-        - rnn_step
-        - regulator_step
+        input_ports: [posture, predicted_posture, alpha, last_alphas]
+        output_ports: [desired_posture, rnn_step, regulator_step]
 
     Ports: see AlphaMixer; regulator_step (M,): dm^L_k. Postures scaled or physical, all in one unit.
     Direct feedthrough; no state; converts to AutoDiffXd, to a plain Diagram with the same ports.

@@ -15,13 +15,8 @@ class SubspaceDetector(WindowDetector):
     .. pydrake_system::
 
         name: SubspaceDetector
-        input_ports:
-        - posture_history
-        - recalled_postures
-        - hidden_state
-        output_ports:
-        - errors
-        - alpha
+        input_ports: [posture_history, recalled_postures, hidden_state]
+        output_ports: [errors, alpha]
 
     Ports: see WindowDetector.
     """

@@ -21,20 +21,9 @@ class SwitchedController(Diagram):
     .. pydrake_system::
 
         name: SwitchedController
-        input_ports:
-        - rgb_image
-        - posture
-        output_ports:
-        - desired_posture
-        - rnn_step
-        - regulator_step
-        - alpha
-        - errors
-        - hidden_state
-        - predicted_features
-        - recalled_postures
-        - posture_history
-        - features
+        input_ports: [rgb_image, posture]
+        output_ports: [desired_posture, rnn_step, regulator_step, alpha, errors, hidden_state, predicted_features,
+          recalled_postures, posture_history, features]
 
     Inputs (read at the ticks only):
         rgb_image: ImageRgba8U of image_width x image_height pixels.

@@ -1,7 +1,5 @@
 """How the inputs of training sequences are disturbed while their targets stay clean."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -46,24 +44,6 @@ class Augmentation:
     carry_ticks: int = 9
 
 
-@dataclass
-class AugmentedInputs:
-    """What the network gets instead of the clean sequences, time first, scaled.
-
-    Attributes:
-        posture: (T, B, 8); feature: (T, B, 30).
-        closed: (T, B) bool, where the own prediction takes their place.
-        length: (B,) ticks that count, those of the rest after a sequence included.
-        carry: (B,) index of the tick whose state a later sequence may start from.
-    """
-
-    posture: Tensor
-    feature: Tensor
-    closed: Tensor
-    length: Tensor
-    carry: Tensor
-
-
 def slow_noise(ticks: int, batch: int, size: int, every: int, generator: torch.Generator) -> Tensor:
     """(T, B, n): standard normal knots every so many ticks at a random phase, linear between them."""
     knots = torch.randn(ticks // every + 3, batch, size, generator=generator)
@@ -82,10 +62,14 @@ def augment(
     joints: int,
     options: Augmentation,
     generator: torch.Generator,
-) -> AugmentedInputs:
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Disturbs clean (T, B, 8) and feature (T, B, 30) of sequences with length and subtask (B,).
 
     `joints`: components of a posture before the finger.
+
+    Returns:
+        The inputs (T, B, 38); (T, B) bool, where the own prediction takes their place; (B,) ticks that count, those of
+        the rest after a sequence included; (B,) index of the tick whose state a later sequence may start from.
     """
     ticks, batch = clean.shape[:2]
     k, column = torch.arange(ticks)[:, None], torch.arange(batch)
@@ -120,4 +104,5 @@ def augment(
     hold = (2 + share[2] * (options.hold_ticks - 1)).long() * (loop & chance(options.hold_probability))
     onset = (start - hold).clamp_min(0)
     held = torch.where((k >= onset) & (k < start), onset, k)
-    return AugmentedInputs(posture[held, column], feature[held, column], closed, longer, longer - 1 - carried.long())
+    x = torch.cat((posture, feature), -1)[held, column]
+    return x, closed, longer, longer - 1 - carried.long()

@@ -1,10 +1,9 @@
 """Reads the teacher's data set (HDF5, robomimic layout) and cuts it into subtask sequences."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +15,8 @@ import numpy as np
 
 from models.errors import InputError
 
-START_TICKS, END_TICKS = 3, 14
+SPLITS = ("train", "valid")
+START_TICKS, END_TICKS = 3, 14  # of a subtask's dwells that are kept
 TOLERANCE = 0.02  # rad and m: a posture nearer than that to the dwell's is taken for dwelling
 
 
@@ -51,14 +51,26 @@ class Demonstration:
 class DatasetHeader:
     """Attributes of the whole file.
 
-    initial_posture (8,); period, s; world: what a network trained on it takes for granted, plain types; a content hash.
+    initial_posture (8,); world: what a network trained on it takes for granted, plain types; a hash of the content.
     """
 
     initial_posture: np.ndarray
     world: dict[str, Any]
-    period: float
     content_hash: str
-    total: int
+
+
+@contextmanager
+def hdf5_errors(path: str | Path, verb: str, remedy: str, damaged: str) -> Iterator[None]:
+    """Where the HDF5 file `path` cannot be `verb` (read, written) in the block, one DatasetError says why."""
+    try:
+        yield
+    except OSError as error:
+        wrong = f"cannot be {verb} ({os.strerror(error.errno or 0)}): {remedy}"
+        if isinstance(error, BlockingIOError) or "already open" in str(error):
+            wrong = f"is in use by another program: wait for its end, or {remedy}"
+        elif not error.errno:
+            wrong = f"is no HDF5 ({error}): {damaged}"
+        raise DatasetError(f"{path} {wrong}") from error
 
 
 @contextmanager
@@ -67,47 +79,41 @@ def _open(path: str | Path) -> Iterator[h5py.File]:
     if not Path(path).is_file():
         raise DatasetError(f"{path}: the data set does not exist. Record it: `python diagrams/teach.py --out {path}`")
     try:
-        with h5py.File(path, "r") as file:
+        with hdf5_errors(path, "read", "give another --data", "record it again"), h5py.File(path, "r") as file:
             yield file
     except KeyError as error:
         raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
-    except PermissionError as error:
-        raise DatasetError(f"{path}: may not be read. Check its permissions") from error
-    except OSError as error:
-        if isinstance(error, BlockingIOError) or "already open" in str(error):
-            raise DatasetError(f"{path}: another program has it open for writing. Wait until that has ended") from error
-        raise DatasetError(f"{path}: not a readable HDF5 file ({error}). Record it again") from error
+
+
+def number_of(name: str) -> int:
+    """The number in a demonstration's name."""
+    return int(name.rsplit("_", 1)[1])
 
 
 def read_header(path: str | Path) -> DatasetHeader:
     """Reads the file's attributes."""
     with _open(path) as file:
         attributes: Any = file["data"].attrs
-        return DatasetHeader(
-            np.array(attributes["initial_posture"], float),
-            json.loads(attributes.get("world", "{}")),
-            float(attributes["period"]),
-            str(attributes["content_hash"]),
-            int(attributes["total"]),
-        )
+        world = json.loads(attributes.get("world", "{}"))
+        return DatasetHeader(np.array(attributes["initial_posture"], float), world, str(attributes["content_hash"]))
 
 
 def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demonstration]:
     """All demonstrations, or those of one split ("train", "valid"), in the order of their numbers."""
     with _open(path) as file:
-        splits = {name.decode(): part for part in ("train", "valid") for name in file[f"mask/{part}"][()]}
-        names = [name for name in splits if split in (None, splits[name])]
+        splits = {name.decode(): part for part in SPLITS for name in file[f"mask/{part}"][()]}
         found = [
             Demonstration(
                 name=name,
                 split=splits[name],
-                can_xy=np.array(file["data"][name].attrs["can_xy"], float),
-                vacant=str(file["data"][name].attrs["vacant"]),
-                subtask_starts=tuple(int(k) for k in file["data"][name].attrs["subtask_starts"]),
-                posture=np.array(file["data"][name]["obs/posture"], float),
-                actions=np.array(file["data"][name]["actions"], float),
+                can_xy=np.array(group.attrs["can_xy"], float),
+                vacant=str(group.attrs["vacant"]),
+                subtask_starts=tuple(int(k) for k in group.attrs["subtask_starts"]),
+                posture=np.array(group["obs/posture"], float),
+                actions=np.array(group["actions"], float),
             )
-            for name in sorted(names, key=lambda text: int(text.rsplit("_", 1)[1]))
+            for name in sorted(splits, key=number_of)
+            if split in (None, splits[name]) and (group := file["data"][name])
         ]
     if not found:
         raise DatasetError(f"{path}: holds no demonstration of split {split}")
@@ -134,21 +140,19 @@ def iterate_frames(path: str | Path, names: Sequence[str], stop: int | None = No
             yield file["data"][name]["obs/rgb"][:stop]
 
 
-def subtask_ranges(
-    demo: Demonstration, tolerance: float = TOLERANCE, start_ticks: int = START_TICKS, end_ticks: int = END_TICKS
-) -> list[tuple[int, int]]:
-    """Tick ranges [start, stop) of the subtasks, their dwells cut to start_ticks and end_ticks.
+def subtask_ranges(demo: Demonstration) -> list[tuple[int, int]]:
+    """Tick ranges [start, stop) of the subtasks, their dwells cut to START_TICKS and END_TICKS.
 
-    A tick dwells while every component is within tolerance of the subtask's first (last) posture. A long dwell at the
+    A tick dwells while every component is within TOLERANCE of the subtask's first (last) posture. A long dwell at the
     start would teach the network to wait until it sees itself move.
     """
     edges = [*demo.subtask_starts, len(demo.posture)]
     ranges = []
     for first, last in itertools.pairwise(edges):
         posture = demo.posture[first:last]
-        away = np.flatnonzero(np.abs(posture - posture[0]).max(axis=1) > tolerance)
-        back = np.flatnonzero(np.abs(posture - posture[-1]).max(axis=1) > tolerance)
+        away = np.flatnonzero(np.abs(posture - posture[0]).max(axis=1) > TOLERANCE)
+        back = np.flatnonzero(np.abs(posture - posture[-1]).max(axis=1) > TOLERANCE)
         if not len(away):
             raise DatasetError(f"{demo.name}: nothing moves between ticks {first} and {last}")
-        ranges.append((first + max(0, int(away[0]) - start_ticks), min(last, first + int(back[-1]) + 1 + end_ticks)))
+        ranges.append((first + max(0, int(away[0]) - START_TICKS), min(last, first + int(back[-1]) + 1 + END_TICKS)))
     return ranges

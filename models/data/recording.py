@@ -1,12 +1,9 @@
 """Writes the teacher's demonstrations to one HDF5 file in robomimic's layout, which demonstrations.py reads."""
 
-from __future__ import annotations
-
 import hashlib
 import json
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,11 +11,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from models.data.demonstrations import Demonstration
+from models.data.demonstrations import SPLITS, Demonstration, hdf5_errors, number_of
 from models.errors import InputError
 
 LAYOUT_VERSION = 2
-SPLITS = ("train", "valid")
 _ARRAYS = {"obs/rgb": "rgb", "obs/posture": "posture", "actions": "actions"}  # name in the file: field of Recording
 
 
@@ -37,7 +33,7 @@ class Recording(Demonstration):
     success: bool
 
 
-class RecordingFile:
+class RecordingFile(AbstractContextManager):
     """An HDF5 file to which demonstrations are added; a context manager. An unfinished one is completed.
 
     A kill leaves either all of a demonstration or, under another name, a part of it that is written again.
@@ -46,14 +42,12 @@ class RecordingFile:
     def __init__(self, path: Path, settings: dict[str, Any], attributes: dict[str, Any]):
         """Opens or begins the file.
 
-        Args:
-            settings: plain types that decide the content; a file with others is refused, untouched.
-            attributes: of the whole file.
-
-        Raises InputError where it cannot be written, is in use or damaged, or is no recording with these settings.
+        `settings`: plain types that decide the content; `attributes`: of the whole file. Raises InputError where it
+        cannot be written, is in use or damaged, or is no recording with these settings: it is left untouched.
         """
         text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
-        with _named(path):
+        damaged = "if a kill in the middle of a write broke it, delete it"
+        with hdf5_errors(path, "written", "choose another --out", damaged):
             path.parent.mkdir(parents=True, exist_ok=True)
             if not path.exists():  # begun under another name: a kill leaves no half of a file
                 begun = path.with_name(f"{path.name}.part")
@@ -65,9 +59,6 @@ class RecordingFile:
             self._file = h5py.File(path, "r+")
         self._data = self._file["data"]
         self._data.attrs.update(attributes)
-
-    def __enter__(self) -> RecordingFile:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self._file.close()
@@ -104,13 +95,10 @@ class RecordingFile:
 
 
 def content_hash(file: h5py.File) -> str:
-    """SHA-256 of the demonstrations in the mask, arrays and attributes, in the order of their numbers.
-
-    Equal for equal content, however it was written.
-    """
+    """SHA-256 of the demonstrations in the mask, arrays and attributes, by number: not of the order of writing."""
     digest = hashlib.sha256()
     listed = [name.decode() for split in SPLITS for name in file[f"mask/{split}"][()]]
-    for name in sorted(listed, key=lambda n: int(n.split("_")[1])):
+    for name in sorted(listed, key=number_of):
         demonstration = file["data"][name]
         digest.update(name.encode())
         for key in _ARRAYS:
@@ -129,17 +117,3 @@ def _require_same(path: Path, file: h5py.File, settings: dict[str, Any]) -> None
     if others:
         words = " and another ".join(others)
         raise InputError(f"{path} was recorded with another {words}: delete it, or choose another --out")
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """What goes wrong with the file in the block is an InputError."""
-    try:
-        yield
-    except OSError as error:
-        wrong, remedy = f"cannot be written ({os.strerror(error.errno or 0)})", "choose another --out"
-        if isinstance(error, BlockingIOError) or "already open" in str(error):
-            wrong, remedy = "is in use by another program", "wait for its end, or choose another --out"
-        elif not error.errno:
-            wrong, remedy = f"is no HDF5 ({error})", "if a kill in the middle of a write broke it, delete it"
-        raise InputError(f"{path} {wrong}: {remedy}") from error

@@ -1,9 +1,7 @@
 """Affine scaling of each component to about [-1, 1]."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
+from typing import Self
 
 import numpy as np
 
@@ -22,9 +20,7 @@ class MinMaxScaling:
             raise ValueError("MinMaxScaling needs lower < upper, two vectors of one length")
 
     @classmethod
-    def from_data(
-        cls, x: np.ndarray, margin: float = 1.1, minimum_half_range: float | np.ndarray = 1e-3
-    ) -> MinMaxScaling:
+    def from_data(cls, x: np.ndarray, margin: float = 1.1, minimum_half_range: float | np.ndarray = 1e-3) -> Self:
         """Bounds of x (T, n), their half range made `margin` times wider and no smaller than minimum_half_range."""
         low, high = np.min(x, axis=0), np.max(x, axis=0)
         half = np.maximum(0.5 * margin * (high - low), minimum_half_range)
@@ -40,15 +36,10 @@ class MinMaxScaling:
         """Half of the bounds' distance (n,): one scaled unit."""
         return 0.5 * (self.upper - self.lower)
 
-    def scale(self, x: Any) -> Any:
-        """Physical (..., n) to scaled; numpy in, numpy out; torch in, torch out."""
-        return (x - self._like(self.centre, x)) / self._like(self.half_range, x)
+    def scale(self, x: np.ndarray) -> np.ndarray:
+        """Physical (..., n) to scaled."""
+        return (x - self.centre) / self.half_range
 
-    def unscale(self, x: Any) -> Any:
+    def unscale(self, x: np.ndarray) -> np.ndarray:
         """Scaled (..., n) to physical."""
-        return x * self._like(self.half_range, x) + self._like(self.centre, x)
-
-    @staticmethod
-    def _like(bound: np.ndarray, x: Any) -> Any:
-        # A tensor keeps its dtype and device; torch is not imported for that.
-        return x.new_tensor(bound) if hasattr(x, "new_tensor") else bound
+        return x * self.half_range + self.centre

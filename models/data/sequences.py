@@ -1,14 +1,13 @@
 """Subtask sequences as padded tensors, batches of them, and the run of a network over a batch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from models.data.augmentation import Augmentation, AugmentedInputs, augment
+from models.data.augmentation import Augmentation, augment
 from models.data.demonstrations import Demonstration, subtask_ranges
 from models.data.scaling import MinMaxScaling
 from models.networks.rnn import RecurrentNetwork
@@ -19,47 +18,33 @@ class SequencePack:
     """n subtask sequences, padded with their last tick; scaled, float32.
 
     Attributes:
-        posture: (n, L, 8) clean m_k; feature: (n, L, 30) clean f_k.
-        posture_target: (n, L, 8) m_{k+1}; feature_target: (n, L, 30) f_{k+1}.
+        x: (n, L, 38) clean [m_k, f_k]; target: (n, L, 38) [m_{k+1}, f_{k+1}].
         length: (n,) ticks before the padding.
         subtask: (n,) 0 or 1.
     """
 
-    posture: Tensor
-    feature: Tensor
-    posture_target: Tensor
-    feature_target: Tensor
+    x: Tensor
+    target: Tensor
     length: Tensor
     subtask: Tensor
 
-    def pick(self, index: Tensor) -> SequencePack:
+    def pick(self, index: Tensor) -> Self:
         """The sequences at index (B,)."""
-        return SequencePack(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+        return type(self)(self.x[index], self.target[index], self.length[index], self.subtask[index])
 
 
 def pack_sequences(
-    demos: list[Demonstration],
-    features: dict[str, np.ndarray],
-    scaling: MinMaxScaling,
-    target: str = "posture",
-    padding: int = 0,
+    demos: list[Demonstration], features: dict[str, np.ndarray], scaling: MinMaxScaling, target: str, padding: int
 ) -> SequencePack:
-    """Cuts demonstrations into trimmed subtasks; each gets `padding` ticks of rest after its end.
+    """Cuts demonstrations into trimmed subtasks; the longest gets `padding` ticks of rest after its end.
 
-    Args:
-        demos: demonstrations.
-        features: features (T, 30) by the demonstration's name.
-        scaling: of the posture.
-        target: "posture": m_{k+1} as measured; "action": as commanded at k.
-        padding: extra ticks after the longest sequence.
+    `features`: (T, 30) by the demonstration's name; `target`: m_{k+1} as measured ("posture") or commanded ("action").
     """
-    cuts = [
-        (demo, start, stop, end - 1, subtask)
-        for demo in demos
-        for subtask, ((start, stop), end) in enumerate(
-            zip(subtask_ranges(demo), [*demo.subtask_starts[1:], len(demo.posture)], strict=True)
-        )
-    ]
+    cuts = []
+    for demo in demos:
+        ends = [*demo.subtask_starts[1:], len(demo.posture)]
+        ranges = zip(subtask_ranges(demo), ends, strict=True)
+        cuts += [(demo, start, stop, end - 1, subtask) for subtask, ((start, stop), end) in enumerate(ranges)]
     ticks = np.arange(max(stop - start for _, start, stop, _, _ in cuts) + padding)
     rows = []
     for demo, start, stop, last, _ in cuts:
@@ -67,10 +52,10 @@ def pack_sequences(
         after = np.minimum(now + 1, last)
         posture, feature = scaling.scale(demo.posture), features[demo.name]
         commanded = scaling.scale(demo.actions)[now] if target == "action" else posture[after]
-        rows.append((posture[now], feature[now], commanded, feature[after]))
-    m, f, m_next, f_next = (torch.from_numpy(np.stack(part)).float() for part in zip(*rows, strict=True))
+        rows.append((np.hstack((posture[now], feature[now])), np.hstack((commanded, feature[after]))))
+    x, wanted = (torch.from_numpy(np.stack(part)).float() for part in zip(*rows, strict=True))
     length = torch.tensor([stop - start for _, start, stop, _, _ in cuts])
-    return SequencePack(m, f, m_next, f_next, length, subtask=torch.tensor([cut[-1] for cut in cuts]))
+    return SequencePack(x, wanted, length, subtask=torch.tensor([cut[-1] for cut in cuts]))
 
 
 @dataclass
@@ -99,29 +84,17 @@ def make_batch(
 ) -> Batch:
     """Time-first batch of a pack (all its sequences), augmented unless options is None.
 
-    Args:
-        initial: scaled initial posture (8,).
-        joints: components that the regulator pulls and the joint noise moves; the rest is the finger.
+    `initial`: scaled (8,); `joints`: components that the regulator pulls and the joint noise moves, before the finger.
     """
-    batch, ticks = pack.posture.shape[:2]
-    clean, feature = pack.posture.transpose(0, 1), pack.feature.transpose(0, 1)
-    if options is None:
-        closed = torch.zeros(ticks, batch, dtype=torch.bool)
-        inputs = AugmentedInputs(clean, feature, closed, pack.length, pack.length - 1)
-    else:
-        inputs = augment(clean, feature, pack.length, pack.subtask, joints, options, generator)
+    x, size = pack.x.transpose(0, 1).contiguous(), len(initial)
+    clean = x[..., :size]
+    closed, length, carry = torch.zeros(x.shape[:2], dtype=torch.bool), pack.length, pack.length - 1
+    if options is not None:
+        x, closed, length, carry = augment(clean, x[..., size:], length, pack.subtask, joints, options, generator)
     pull = torch.zeros_like(clean)
-    pull[..., :joints] = torch.where(inputs.closed[..., None], clean, inputs.posture)[..., :joints] - initial[:joints]
-    return Batch(
-        x=torch.cat((inputs.posture, inputs.feature), -1),
-        closed=inputs.closed[..., None],
-        target=torch.cat((pack.posture_target, pack.feature_target), -1).transpose(0, 1),
-        pull=pull,
-        clean=clean,
-        valid=(torch.arange(ticks)[:, None] < inputs.length).float(),
-        last=inputs.length - 1,
-        carry=inputs.carry,
-    )
+    pull[..., :joints] = torch.where(closed[..., None], clean, x[..., :size])[..., :joints] - initial[:joints]
+    valid = (torch.arange(len(x))[:, None] < length).float()
+    return Batch(x, closed[..., None], pack.target.transpose(0, 1), pull, clean, valid, length - 1, carry)
 
 
 def run(rnn: RecurrentNetwork, batch: Batch, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -132,8 +105,6 @@ def run(rnn: RecurrentNetwork, batch: Batch, state: Tensor) -> tuple[Tensor, Ten
 
 def errors(y: Tensor, batch: Batch, gain: float) -> tuple[Tensor, Tensor]:
     """Squared errors of the command y - K (m - m_init) (T, B, 8) (Eq. 3, alpha = 0) and of the features (T, B, 30)."""
-    size = batch.clean.shape[-1]
-    ticks = len(y)
-    command = y[..., :size] - gain * batch.pull[:ticks]
-    target = batch.target[:ticks]
+    ticks, size = len(y), batch.clean.shape[-1]
+    command, target = y[..., :size] - gain * batch.pull[:ticks], batch.target[:ticks]
     return (command - target[..., :size]).square(), (y[..., size:] - target[..., size:]).square()

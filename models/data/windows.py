@@ -1,7 +1,5 @@
 """Windows of joint angles and what the two baselines learn from them (Sec. IV-B)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -14,19 +12,13 @@ _UNIT = 1e-4  # rad: the angles are stored as 16-bit multiples of it
 
 
 def posture_windows(runs: Sequence[np.ndarray], window: int = WINDOW) -> np.ndarray:
-    """All windows of each run, (J, n, window), the newest sample first.
-
-    `runs`: (T_i, J) each, no shorter than a window.
-    """
+    """All windows (J, n, window) of runs (T_i, J), each no shorter than a window; the newest sample first."""
     parts = [np.lib.stride_tricks.sliding_window_view(run, window, axis=0)[..., ::-1] for run in runs]
     return np.ascontiguousarray(np.concatenate(parts).swapaxes(0, 1))
 
 
 def leading_axes(windows: np.ndarray) -> np.ndarray:
-    """The first left singular vectors of each joint's windows as columns, (J, n, w) to (J, w, 2) float32.
-
-    Nothing is subtracted from the windows before.
-    """
+    """The first left singular vectors of each joint's windows, not centred, (J, n, w) to columns (J, w, 2) float32."""
     from sklearn.decomposition import TruncatedSVD
 
     axes = [TruncatedSVD(AXES, algorithm="arpack", random_state=0).fit(rows).components_.T for rows in windows]

@@ -1,7 +1,5 @@
 """Files of the detectors that learn from runs: what was learned, and a calibration for each policy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,14 +31,9 @@ class StoredDetector:
 
 def save_detector(path: str | Path, stored: StoredDetector) -> None:
     """Writes the file in one go."""
-    header = {
-        "kind": "detector",
-        "method": stored.detector,
-        "calibrations": stored.calibrations,
-        "metadata": stored.metadata,
-    }
+    header = {"calibrations": stored.calibrations, "metadata": stored.metadata}
     tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in stored.arrays.items()}
-    write_tensors(path, tensors, header)
+    write_tensors(path, tensors, {"kind": "detector", "method": stored.detector} | header)
 
 
 def load_detector(path: str | Path, detector: str) -> StoredDetector:
@@ -56,13 +49,9 @@ def load_detector(path: str | Path, detector: str) -> StoredDetector:
 
 def calibration_of(path: str | Path, stored: StoredDetector, policy_hash: str) -> dict[str, Any]:
     """The calibration for the policy with that file hash; raises WeightsError if there is none, or not a whole one."""
-    found = stored.calibrations.get(policy_hash)
+    found, short = stored.calibrations.get(policy_hash), policy_hash[:12]
     if found is None:
-        raise WeightsError(
-            path, f"has no calibration for the policy whose file has the hash {policy_hash[:12]}", _REMEDY
-        )
+        raise WeightsError(path, f"has no calibration for the policy whose file has the hash {short}", _REMEDY)
     if absent := {"mean_errors", "beta", "gamma"} - set(found):
-        raise WeightsError(
-            path, f"has a calibration without {' and '.join(sorted(absent))} for {policy_hash[:12]}", _REMEDY
-        )
+        raise WeightsError(path, f"has a calibration without {' and '.join(sorted(absent))} for {short}", _REMEDY)
     return found

@@ -1,7 +1,5 @@
 """Large matrices in 8 bits a weight: NAME int8 beside NAME.row_scale float32 (symmetric per row)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """The container of every weight file: safetensors with a JSON header, written in one go and checked when read."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -20,10 +18,7 @@ RETRAIN = "Take the file from the repository again (git checkout), or train it w
 
 
 class WeightsError(InputError):
-    """A weight file is missing, damaged, or of another kind than asked for."""
-
-    def __init__(self, path: str | Path, wrong: str, remedy: str) -> None:
-        super().__init__(path, wrong, remedy)  # as they came, or no worker process could send the error back
+    """A weight file is missing, damaged, or of another kind than asked for. Arguments: path, what is wrong, remedy."""
 
     def __str__(self) -> str:
         path, wrong, remedy = self.args
@@ -44,12 +39,13 @@ def file_hash(path: str | Path) -> str:
 
 
 def write_tensors(path: str | Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
-    """Writes tensors and a JSON-serialisable header with its `kind`; the file gets its name only when it is whole."""
+    """Writes tensors and a header of plain types and arrays with its `kind`; the file gets its name only when whole."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".part")
     # One string: safetensors writes several in random order, and the same content would get another hash each time.
-    save_file(tensors, partial, {"header": json.dumps({"format": FORMAT} | header, sort_keys=True)})
+    text = json.dumps({"format": FORMAT} | header, sort_keys=True, default=lambda array: array.tolist())
+    save_file(tensors, partial, {"header": text})
     partial.chmod(0o644)
     os.replace(partial, path)
 
@@ -64,13 +60,10 @@ def read_tensors(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[s
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, TypeError, ValueError) as error:
         raise WeightsError(path, f"the weight file is damaged ({error})", RETRAIN) from error
-    if header.get("format") != FORMAT or header.get("kind") != kind:
-        raise WeightsError(
-            path,
-            f"is a file of kind {header.get('kind')!r}, format {header.get('format')!r}, "
-            f"where kind {kind!r}, format {FORMAT} is needed",
-            "Give the file that was meant",
-        )
+    have, wanted = (header.get("kind"), header.get("format")), (kind, FORMAT)
+    if have != wanted:
+        wrong = f"is a file of kind {have[0]!r}, format {have[1]!r}, where kind {kind!r}, format {FORMAT} is needed"
+        raise WeightsError(path, wrong, "Give the file that was meant")
     if any(not torch.isfinite(value.float()).all() for value in tensors.values() if value.is_floating_point()):
         raise WeightsError(path, "holds weights that are not finite", RETRAIN)
     return tensors, header

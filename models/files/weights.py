@@ -1,7 +1,5 @@
 """Weight files of the autoencoder and of the policies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,10 @@ from models.files.tensors import file_hash as file_hash
 from models.networks.cae import ConvolutionalAutoencoder
 from models.networks.recall import RecallHeads
 from models.networks.rnn import RecurrentNetwork, make_rnn
+
+# Fields of a StoredPolicy that the header holds under their own names.
+_PLAIN = ("regulator_gain", "encoder_hash", "beta", "gamma", "metadata")
+_VECTORS = ("initial_posture", "mean_errors", "reference_errors")
 
 
 @dataclass
@@ -67,10 +69,10 @@ def save_autoencoder(path: str | Path, model: ConvolutionalAutoencoder, metadata
 def load_autoencoder(path: str | Path) -> tuple[ConvolutionalAutoencoder, dict[str, Any]]:
     """The autoencoder on its stored (dequantised) weights, in eval mode, and its metadata."""
     tensors, header = read_autoencoder(path)
-    scales = {name: tensors.pop(name) for name in [n for n in tensors if n.endswith(SCALE)]}
     state = {
-        name: dequantise(value, scales[name + SCALE]) if value.dtype == torch.int8 else value.float()
+        name: dequantise(value, tensors[name + SCALE]) if value.dtype == torch.int8 else value.float()
         for name, value in tensors.items()
+        if not name.endswith(SCALE)
     }
     try:
         model, metadata = ConvolutionalAutoencoder(header["feature_activation"]), header["metadata"]
@@ -105,18 +107,11 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
         "rnn": policy.rnn.spec,
         "posture_size": policy.rnn.posture_size,
         "feature_size": policy.rnn.feature_size,
-        "encoder_hash": policy.encoder_hash,
         "recall": None if policy.recall is None else {"horizon": policy.recall.horizon, "hidden": policy.recall.hidden},
         "lower": policy.scaling.lower.tolist(),
         "upper": policy.scaling.upper.tolist(),
-        "initial_posture": np.asarray(policy.initial_posture, float).tolist(),
-        "regulator_gain": float(policy.regulator_gain),
-        "mean_errors": _numbers(policy.mean_errors),
-        "reference_errors": _numbers(policy.reference_errors),
-        "beta": policy.beta,
-        "gamma": policy.gamma,
-        "metadata": policy.metadata,
     }
+    header |= {name: getattr(policy, name) for name in _PLAIN + _VECTORS}
     write_tensors(path, tensors, header)
 
 
@@ -125,22 +120,11 @@ def load_policy(path: str | Path) -> StoredPolicy:
     tensors, header = read_tensors(path, "policy")
     try:
         rnn = make_rnn(header["rnn"], header["posture_size"], header["feature_size"])
-        recall = None
-        if header["recall"] is not None:
-            recall = RecallHeads(rnn.state_size, rnn.posture_size, **header["recall"])
-        policy = StoredPolicy(
-            rnn=rnn.eval(),
-            recall=recall,
-            scaling=MinMaxScaling(header["lower"], header["upper"]),
-            initial_posture=np.array(header["initial_posture"], float),
-            regulator_gain=float(header["regulator_gain"]),
-            encoder_hash=header["encoder_hash"],
-            mean_errors=_array(header["mean_errors"]),
-            reference_errors=_array(header.get("reference_errors")),
-            beta=header["beta"],
-            gamma=header["gamma"],
-            metadata=header["metadata"],
-        )
+        heads = header["recall"]
+        recall = None if heads is None else RecallHeads(rnn.state_size, rnn.posture_size, **heads)
+        stored = {name: header[name] for name in _PLAIN}
+        stored |= {name: None if header[name] is None else np.array(header[name]) for name in _VECTORS}
+        policy = StoredPolicy(rnn.eval(), recall, MinMaxScaling(header["lower"], header["upper"]), **stored)
     except InputError as error:
         raise WeightsError(path, f"its network cannot be built ({error})", "Install what defines it") from error
     except (KeyError, TypeError, ValueError) as error:
@@ -151,24 +135,12 @@ def load_policy(path: str | Path) -> StoredPolicy:
     return policy
 
 
-def _numbers(vector: np.ndarray | None) -> list[float] | None:
-    return None if vector is None else np.asarray(vector, float).tolist()
-
-
-def _array(numbers: list[float] | None) -> np.ndarray | None:
-    return None if numbers is None else np.array(numbers)
-
-
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def _fill(path: str | Path, module: nn.Module, state: dict[str, Tensor]) -> None:
-    own = module.state_dict()
-    state = state | {name: value for name, value in own.items() if name.endswith("num_batches_tracked")}
-    bad = sorted(own.keys() ^ state.keys()) + sorted(
-        n for n in own.keys() & state.keys() if own[n].shape != state[n].shape
-    )
-    if bad:
-        raise WeightsError(path, f"does not fit the network at {', '.join(bad[:4])}", RETRAIN)
-    module.load_state_dict(state)
+    try:
+        module.load_state_dict(state)
+    except RuntimeError as error:
+        raise WeightsError(path, f"does not fit the network ({' '.join(str(error).split())[:200]})", RETRAIN) from error

@@ -1,7 +1,5 @@
 """The convolutional autoencoder of Table I."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from typing import Any
 
@@ -15,6 +13,14 @@ CHANNELS = (32, 64, 128)
 HIDDEN = 1000
 _KERNEL: dict[str, Any] = {"kernel_size": 6, "stride": 2}
 _ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
+Layers = list[tuple[str, nn.Module]]
+
+
+def _block(name: str, layer: Any, activation: str = "relu") -> Layers:
+    """A layer without bias, as the batch norm that follows has its own offset, and the activation."""
+    flat = isinstance(layer, nn.Linear)
+    norm = nn.BatchNorm1d(layer.out_features) if flat else nn.BatchNorm2d(layer.out_channels)
+    return [(name, layer), (f"{name}_norm", norm), (f"{name}_activation", _ACTIVATIONS[activation]())]
 
 
 class ConvolutionalAutoencoder(nn.Module):
@@ -34,41 +40,18 @@ class ConvolutionalAutoencoder(nn.Module):
                 f"there is no feature activation {feature_activation!r}: choose one of {sorted(_ACTIVATIONS)}"
             )
         self.feature_activation = feature_activation
-        flat = CHANNELS[2] * 12 * 12
-        down = [3, *CHANNELS]
-        up = [*CHANNELS[::-1]]
-        encoder: list[tuple[str, nn.Module]] = []
+        down, up, flat = (3, *CHANNELS), CHANNELS[::-1], CHANNELS[2] * 12 * 12
+        encoder: Layers = []
         for i in range(3):
-            # Batch norm has its own offset, so no layer before one needs a bias.
-            encoder += [
-                (f"conv{i}", nn.Conv2d(down[i], down[i + 1], padding=1, bias=False, **_KERNEL)),
-                (f"conv{i}_norm", nn.BatchNorm2d(down[i + 1])),
-                (f"conv{i}_relu", nn.ReLU()),
-            ]
-        encoder += [
-            ("flatten", nn.Flatten()),
-            ("full", nn.Linear(flat, HIDDEN, bias=False)),
-            ("full_norm", nn.BatchNorm1d(HIDDEN)),
-            ("full_relu", nn.ReLU()),
-            ("feature", nn.Linear(HIDDEN, FEATURE_SIZE, bias=False)),
-            ("feature_norm", nn.BatchNorm1d(FEATURE_SIZE)),
-            ("feature_activation", _ACTIVATIONS[feature_activation]()),
-        ]
-        decoder: list[tuple[str, nn.Module]] = [
-            ("full0", nn.Linear(FEATURE_SIZE, HIDDEN, bias=False)),
-            ("full0_norm", nn.BatchNorm1d(HIDDEN)),
-            ("full0_relu", nn.ReLU()),
-            ("full1", nn.Linear(HIDDEN, flat, bias=False)),
-            ("full1_norm", nn.BatchNorm1d(flat)),
-            ("full1_relu", nn.ReLU()),
-            ("unflatten", nn.Unflatten(1, (CHANNELS[2], 12, 12))),
-        ]
+            encoder += _block(f"conv{i}", nn.Conv2d(down[i], down[i + 1], padding=1, bias=False, **_KERNEL))
+        encoder.append(("flatten", nn.Flatten()))
+        encoder += _block("full", nn.Linear(flat, HIDDEN, bias=False))
+        encoder += _block("feature", nn.Linear(HIDDEN, FEATURE_SIZE, bias=False), feature_activation)
+        decoder = _block("full0", nn.Linear(FEATURE_SIZE, HIDDEN, bias=False))
+        decoder += _block("full1", nn.Linear(HIDDEN, flat, bias=False))
+        decoder.append(("unflatten", nn.Unflatten(1, (CHANNELS[2], 12, 12))))
         for i in range(2):
-            decoder += [
-                (f"deconv{i}", nn.ConvTranspose2d(up[i], up[i + 1], padding=1, bias=False, **_KERNEL)),
-                (f"deconv{i}_norm", nn.BatchNorm2d(up[i + 1])),
-                (f"deconv{i}_relu", nn.ReLU()),
-            ]
+            decoder += _block(f"deconv{i}", nn.ConvTranspose2d(up[i], up[i + 1], padding=1, bias=False, **_KERNEL))
         # The picture itself is linear: ReLU has no gradient where a pixel is predicted too dark, and batch norm would
         # make the colour of one picture depend on the others in its batch.
         decoder.append(("output", nn.ConvTranspose2d(up[2], 3, padding=0, **_KERNEL)))
@@ -82,11 +65,6 @@ class ConvolutionalAutoencoder(nn.Module):
     def decode(self, feature: Tensor) -> Tensor:
         """Features (B, 30) to images (B, 3, 112, 112)."""
         return self.decoder(feature)
-
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns the reconstruction (B, 3, 112, 112) and the features (B, 30)."""
-        feature = self.encode(image)
-        return self.decode(feature), feature
 
 
 def to_image(rgb: Tensor) -> Tensor:

@@ -4,8 +4,6 @@ Its layers are so small that autograd over a dozen operations a tick costs more 
 a third of the time. Same numbers as MTRNN.step called in a loop: a test compares them.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Recall heads: the postures of the last N ticks out of the RNN's state alone (Eq. 4)."""
 
-from __future__ import annotations
-
 from torch import Tensor, nn
 
 
@@ -26,5 +24,5 @@ class RecallHeads(nn.Module):
             self.layers = nn.Sequential(nn.Linear(state_size, hidden), nn.ReLU(), nn.Linear(hidden, size))
 
     def forward(self, state: Tensor) -> Tensor:
-        """See the class: (B, S) to (B, N, posture), row n - 1 is the posture n ticks ago."""
+        """(B, S) to (B, N, posture), row n - 1 is the posture n ticks ago."""
         return self.layers(state).unflatten(-1, (self.horizon, self.posture_size))

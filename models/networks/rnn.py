@@ -1,7 +1,5 @@
 """The three recurrent networks of Table I behind one interface: the state goes in and comes out."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
@@ -47,19 +45,13 @@ class RecurrentNetwork(nn.Module, ABC):
         """One tick: x (B, 38) scaled [m_k, f_k] and c_{k-1} (B, S) to y (B, 38), the prediction of k+1, and c_k."""
 
     def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Runs over T ticks, the loop closed (Eqs. 7, 8 with alpha = 1) where told.
+        """Runs over T ticks from state (B, S): inputs x (T, B, 38) to y (T, B, 38) and all states (T, B, S).
 
-        Args:
-            x: (T, B, 38) inputs.
-            closed: (T, B, 1) bool: the own clipped prediction takes the input's place; not at the first tick.
-            state: (B, S).
-
-        Returns:
-            y (T, B, 38) and all states (T, B, S).
+        Where `closed` (T, B, 1) is True, but at the first tick, the own clipped prediction takes the input's place
+        (Eqs. 7, 8 with alpha = 1).
         """
-        outputs, states = [], []
+        outputs, states, y = [], [], x[0]
         loops = closed.flatten(1).any(1).tolist()
-        y = x[0]
         for k, (own, data) in enumerate(zip(closed.unbind(0), x.unbind(0), strict=True)):
             y, state = self.step(torch.where(own, y.clamp(-1.0, 1.0), data) if k and loops[k] else data, state)
             outputs.append(y)
@@ -77,7 +69,7 @@ class LSTM(RecurrentNetwork):
 
     name = "lstm"
 
-    def __init__(self, posture_size: int = 8, feature_size: int = 30, units: int = 250) -> None:
+    def __init__(self, posture_size: int, feature_size: int, units: int = 250) -> None:
         super().__init__(posture_size, feature_size, 2 * units, units)
         self.units = units
         self.gates = nn.Linear(self.input_size + units, 4 * units)  # rows: output, input, forget, cell
@@ -86,7 +78,6 @@ class LSTM(RecurrentNetwork):
             self.gates.bias[2 * units : 3 * units] += 1.0  # remembers over a subtask from the first update on
 
     def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """See RecurrentNetwork.step."""
         h, c = state.split(self.units, 1)
         gates, cell = self.gates(torch.cat((x, h), 1)).split((3 * self.units, self.units), 1)
         o, i, f = torch.sigmoid(gates).split(self.units, 1)
@@ -100,7 +91,7 @@ class GRU(RecurrentNetwork):
 
     name = "gru"
 
-    def __init__(self, posture_size: int = 8, feature_size: int = 30, units: int = 250) -> None:
+    def __init__(self, posture_size: int, feature_size: int, units: int = 250) -> None:
         super().__init__(posture_size, feature_size, units, units)
         self.units = units
         self.from_input = nn.Linear(self.input_size, 3 * units)  # rows: reset, update, new as torch.nn.GRU
@@ -109,7 +100,6 @@ class GRU(RecurrentNetwork):
         _uniform(self.from_hidden, 1.0 / math.sqrt(units))
 
     def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """See RecurrentNetwork.step."""
         r_x, z_x, n_x = self.from_input(x).split(self.units, 1)
         r_h, z_h, n_h = self.from_hidden(state).split(self.units, 1)
         z = torch.sigmoid(z_x + z_h)
@@ -130,22 +120,15 @@ class MTRNN(RecurrentNetwork):
     # At a rate of 1e-2 it diverges.
     training_defaults: ClassVar[dict[str, Any]] = {"steps": 16_000, "posture_weight": 40.0, "learning_rate": 4e-3}
 
-    def __init__(
-        self,
-        posture_size: int = 8,
-        feature_size: int = 30,
-        fast: int = 80,
-        slow: int = 20,
-        tau_fast: float = 2.0,
-        tau_slow: float = 30.0,
-    ) -> None:
+    def __init__(self, posture_size: int, feature_size: int, sizes=(80, 20), tau=(2.0, 30.0)) -> None:
+        """`sizes`: units of the fast and the slow layer; `tau`: their time constants, ticks."""
+        fast, slow = sizes
         super().__init__(posture_size, feature_size, fast + slow, fast)
-        self.sizes, self.tau = (fast, slow), (tau_fast, tau_slow)
+        self.sizes, self.tau = sizes, tau
         self.to_fast = nn.Linear(self.input_size + fast + slow, fast)
         self.to_slow = nn.Linear(fast + slow, slow)
 
     def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """See RecurrentNetwork.step."""
         h = torch.tanh(state)
         u_fast, u_slow = state.split(self.sizes, 1)
         u_fast = torch.lerp(u_fast, self.to_fast(torch.cat((x, h), 1)), 1.0 / self.tau[0])
@@ -153,7 +136,7 @@ class MTRNN(RecurrentNetwork):
         return self.output(torch.tanh(u_fast)), torch.cat((u_fast, u_slow), 1)
 
     def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """See RecurrentNetwork.forward; the state gets no gradient."""
+        """As RecurrentNetwork.forward; the state gets no gradient."""
         rate = state.new_tensor([1.0 / tau for tau in self.tau]).repeat_interleave(state.new_tensor(self.sizes).long())
         parts = (self.to_fast, self.to_slow, self.output)
         return MtrnnLoop.apply(x, closed, state, rate, *(p for part in parts for p in (part.weight, part.bias)))

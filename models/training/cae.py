@@ -1,7 +1,5 @@
 """Training of the autoencoder (Eq. 1, with the pixels of what moves weighted)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,6 @@ class CaeOptions(TrainingOptions):
     Args:
         max_images: images shown in all; decides the training time.
         batch_size: images an update.
-        frame_stride: every so many-th frame of a demonstration is used (each demonstration with another phase).
         foreground_weight: weight of a pixel that differs from the median picture; 1 is the paper's plain MSE.
         foreground_threshold: from that difference on, of [0, 1], in any channel.
         feature_activation: "tanh", or the paper's "relu".
@@ -38,7 +35,6 @@ class CaeOptions(TrainingOptions):
 
     max_images: int = 90_000
     batch_size: int = 64
-    frame_stride: int = 1
     foreground_weight: float = 16.0
     foreground_threshold: float = 0.08
     feature_activation: str = "tanh"
@@ -50,16 +46,13 @@ class CaeOptions(TrainingOptions):
     device: str = "auto"
 
 
-def load_frames(path: Path, stride: int = 1) -> np.ndarray:
+def load_frames(path: Path) -> np.ndarray:
     """Pictures of the training demonstrations in memory, uint8 (n, 112, 112, 3)."""
     demos = read_demonstrations(path, "train")
-    phases = [i % stride for i in range(len(demos))]
-    counts = [len(range(p, len(d.posture), stride)) for p, d in zip(phases, demos, strict=True)]
-    frames = np.empty((sum(counts), 112, 112, 3), np.uint8)
-    row = 0
-    for phase, count, rgb in zip(phases, counts, iterate_frames(path, [d.name for d in demos]), strict=True):
-        frames[row : row + count] = rgb[phase::stride]
-        row += count
+    ends = np.cumsum([len(demo.posture) for demo in demos])
+    frames = np.empty((ends[-1], 112, 112, 3), np.uint8)
+    for end, rgb in zip(ends, iterate_frames(path, [demo.name for demo in demos]), strict=True):
+        frames[end - len(rgb) : end] = rgb
     return frames
 
 
@@ -120,14 +113,13 @@ class CaeTraining(Training):
         return self.options.out / "cae.safetensors"
 
     def export(self, path: Path, done: int) -> None:
-        """Writes the present weights."""
         save_autoencoder(path, self.model, self.metadata | {"step": done})
 
 
 def train_cae(options: CaeOptions) -> Path:
     """Runs the training and returns the path of the weight file."""
     prepare(options)
-    frames = load_frames(options.data, options.frame_stride)
+    frames = load_frames(options.data)
     metadata = {"training": options.as_metadata(), "data_hash": read_header(options.data).content_hash}
     print(f"{len(frames)} training frames, {frames.nbytes / 1e9:.2f} GB; {options.max_images} images to show")
     training = CaeTraining(options, frames, metadata)

@@ -1,7 +1,5 @@
 """Checkpoints of a training: resumed by the same command, refused by another."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -25,8 +23,9 @@ class Checkpoint:
         state = self.training.state_dict()
         if not all(value.isfinite().all() for value in state.values()):
             raise self.diverged(f"a weight is not finite after update {done}")
-        if export:
-            self._export(done)
+        path = self.training.weight_file(done)
+        if export and path is not None:
+            self.training.export(path, done)
         partial = self.path.with_suffix(".part")
         stored = {"made_with": self.made_with, "done": done, "state": state, "optimizer": self.optimizer.state_dict()}
         torch.save(stored, partial)
@@ -48,8 +47,10 @@ class Checkpoint:
             self.optimizer.load_state_dict(stored["optimizer"])
         except (KeyError, RuntimeError, ValueError) as error:
             raise self._unusable(f"does not fit the network ({' '.join(str(error).split())[:200]})") from error
-        if self.done % self.made_with["checkpoint_every"] == 0 or self.done == self.training.steps:
-            self._export(self.done, only_missing=True)
+        due = self.done % self.made_with["checkpoint_every"] == 0 or self.done == self.training.steps
+        path = self.training.weight_file(self.done)
+        if due and path is not None and not path.is_file():
+            self.training.export(path, self.done)
         return self.done
 
     def diverged(self, what: str) -> InputError:
@@ -59,11 +60,6 @@ class Checkpoint:
 
     def _unusable(self, why: str) -> InputError:
         return InputError(f"{self.path}: {why}: delete it to train from the start, or choose another --out")
-
-    def _export(self, done: int, only_missing: bool = False) -> None:
-        path = self.training.weight_file(done)
-        if path is not None and not (only_missing and path.is_file()):
-            self.training.export(path, done)
 
 
 def refuse_other(path: Path, before: dict[str, Any], now: dict[str, Any]) -> None:

@@ -1,7 +1,5 @@
 """Features of a whole data set, kept in a file for the trainings that need them."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How many millimetres the features localise the can to, on positions that the autoencoder did not see."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,26 +20,20 @@ class ProbeOptions:
         data: data set of diagrams/teach.py (HDF5).
         encoder: autoencoder file.
         ticks: first ticks of a demonstration that are read.
-        noise: std of Gaussian noise on the features, as the recurrent network meets in training; 0 for none.
         json: also write the result to this file.
     """
 
     data: Path
     encoder: Path
     ticks: int = 3
-    noise: float = 0.0
     json: Path | None = None
 
 
 def regress(f_train: np.ndarray, y_train: np.ndarray, f_test: np.ndarray, groups: np.ndarray) -> np.ndarray:
     """Kernel ridge regression with Gaussian kernels, their width and penalty by cross-validation in 5 folds or fewer.
 
-    Args:
-        f_train: (n, 30), y_train: (n, d), f_test: (m, 30).
-        groups: (n,) group of each training row; a fold never splits one.
-
-    Returns:
-        Predictions (m, d).
+    From f_train (n, 30) and y_train (n, d) to predictions (m, d) for f_test (m, 30); a fold never splits one of the
+    groups (n,).
     """
     from sklearn.kernel_ridge import KernelRidge
     from sklearn.model_selection import GridSearchCV, GroupKFold
@@ -58,23 +50,21 @@ def regress(f_train: np.ndarray, y_train: np.ndarray, f_test: np.ndarray, groups
     return search.fit(f_train, y_train - offset, groups=groups).predict(f_test) + offset
 
 
-def probe(options: ProbeOptions) -> dict[str, float]:
-    """Median, 95th percentile and largest error in mm on validation demonstrations; accuracy of the vacant spot."""
+def run_probe(options: ProbeOptions) -> None:
+    """Prints the errors on validation demonstrations, mm, and the accuracy of the vacant spot; writes options.json."""
     encoder = Encoder(options.encoder)
-    rng = np.random.default_rng(0)
     parts = {}
     for split in ("train", "valid"):
         demos = read_demonstrations(options.data, split)
         frames = iterate_frames(options.data, [d.name for d in demos], options.ticks)
         f = np.concatenate([encoder.encode_batch(rgb) for rgb in frames])
-        f += options.noise * rng.standard_normal(f.shape)
         y = np.repeat([[*d.can_xy, 0.1 if d.vacant == "left" else -0.1] for d in demos], options.ticks, axis=0)
         parts[split] = (f, y)
     (f_train, y_train), (f_valid, y_valid) = parts["train"], parts["valid"]
     groups = np.unique(y_train[:, :2].round(4), axis=0, return_inverse=True)[1].reshape(-1)
     guess = regress(f_train, y_train, f_valid, np.random.default_rng(1).permutation(groups.max() + 1)[groups])
     error = 1000.0 * np.linalg.norm(guess[:, :2] - y_valid[:, :2], axis=1)
-    return {
+    result = {
         "median_mm": float(np.median(error)),
         "p95_mm": float(np.percentile(error, 95)),
         "max_mm": float(error.max()),
@@ -82,11 +72,6 @@ def probe(options: ProbeOptions) -> dict[str, float]:
         "least_feature_std": float(f_train.std(0).min()),
         "positions": float(len(error) // options.ticks),
     }
-
-
-def run_probe(options: ProbeOptions) -> None:
-    """Prints what the probe finds, and writes it to options.json."""
-    result = probe(options)
     if options.json is not None:
         options.json.write_text(json.dumps(result, indent=2) + "\n")
     print(

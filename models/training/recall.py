@@ -1,7 +1,5 @@
 """Training of the recall heads (Eq. 4) on the states of a finished network, all of whose weights stay."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -86,7 +84,6 @@ class RecallTraining(SequenceTraining):
         return self.out if done == self.steps else None
 
     def export(self, path: Path, done: int) -> None:
-        """Writes network and heads."""
         self.policy.recall = self.heads
         save_policy(path, self.policy)
 
@@ -136,8 +133,6 @@ def _check_done(out: Path, options: RecallOptions, path: Path, candidate: Stored
     """Raises InputError where `out` holds another network, or heads that were trained with other options."""
     done = load_policy(out)
     refuse_other(out, done.metadata.get("recall_training", {}), options.as_metadata())
-    states = done.rnn.state_dict(), candidate.rnn.state_dict()
-    if states[0].keys() != states[1].keys() or not all(
-        torch.equal(states[0][name], states[1][name]) for name in states[0]
-    ):
+    a, b = done.rnn.state_dict(), candidate.rnn.state_dict()
+    if a.keys() != b.keys() or not all(torch.equal(a[name], b[name]) for name in a):
         raise InputError(f"{out} was made from another network than {path}: give another --out")

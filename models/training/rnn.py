@@ -1,10 +1,8 @@
 """Training of the recurrent network (Eq. 2) with the regulator's pull in its output (Eq. 3, alpha = 0)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import torch
@@ -79,7 +77,7 @@ class RnnOptions(TrainingOptions):
     validate_every: int = 500
     augmentation: Augmentation = field(default_factory=Augmentation)
 
-    def with_defaults(self) -> RnnOptions:
+    def with_defaults(self) -> Self:
         """With the network's own values where none are given; raises InputError for a network that there is not."""
         own = network_class(self.rnn).training_defaults
         return replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
@@ -106,8 +104,8 @@ class SequenceTraining(Training):
 
     def __init__(self, options: Any, carry_over: float, train: SequencePack, policy: StoredPolicy) -> None:
         super().__init__(options.steps, options.learning_rate, options.final_rate)
-        self.options, self.carry_over, self.train_pack, self.policy = options, carry_over, train, policy
-        self.rnn = policy.rnn
+        self.options, self.carry_over, self.train_pack = options, carry_over, train
+        self.policy, self.rnn = policy, policy.rnn
         self.initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
         # Late states of earlier sequences; row 0 stays c_0.
         self.register_buffer("pool", torch.zeros(POOL, self.rnn.state_size))
@@ -152,7 +150,6 @@ class RnnTraining(SequenceTraining):
         return loss, {"loss": loss, "posture": posture_loss, "feature": feature_loss, "state": state_loss}
 
     def validate(self, done: int) -> dict[str, float]:
-        """See validation.py."""
         if done % self.options.validate_every and done != self.steps:
             return {}
         return validate(self.rnn, self.valid_pack, self.initial, self.options.regulator_gain, JOINTS)
@@ -162,7 +159,6 @@ class RnnTraining(SequenceTraining):
         return self.options.out / f"rnn-{done}.safetensors"
 
     def export(self, path: Path, done: int) -> None:
-        """Writes the candidate of this update."""
         self.policy.metadata["step"] = done
         save_policy(path, self.policy)
 

@@ -3,8 +3,6 @@
 A plain loop, no Lightning: it is shorter than what bent its Trainer to batches by (seed, step) and one checkpoint.
 """
 
-from __future__ import annotations
-
 import csv
 import ctypes
 import math
@@ -24,8 +22,8 @@ from models.errors import InputError
 from models.training.checkpoint import Checkpoint
 
 # Options that name places and this machine: they are not written into weight files.
-_LOCAL = {"data", "out", "threads", "progress", "device", "encoder", "features", "policy", "start_from"}
-_COUNTS = ("steps", "batch_size", "max_images", "frame_stride", "horizon", "checkpoint_every", "validate_every")
+_LOCAL = {"data", "out", "device", "encoder", "features", "policy", "start_from"}
+_COUNTS = ("steps", "batch_size", "max_images", "horizon", "checkpoint_every", "validate_every")
 
 
 @dataclass(kw_only=True)
@@ -37,15 +35,11 @@ class TrainingOptions:
         out: folder for the checkpoint, the log (CSV) and the weight files. The same command goes on with a training
             found there; other options, data or seeds are refused.
         seed: of initial weights, batches and augmentation.
-        threads: threads of torch; 0 leaves torch's choice.
-        progress: show a progress bar.
     """
 
     data: Path
     out: Path
     seed: int = 0
-    threads: int = 0
-    progress: bool = True
 
     def __post_init__(self) -> None:
         for name in _COUNTS:
@@ -105,10 +99,8 @@ def fit(
     """Trains to training.steps, from OUT/NAME.ckpt if it is there; logs to OUT/NAME.csv and OUT/NAME-validation.csv.
 
     Args:
-        training: see Training.
         options: TrainingOptions with checkpoint_every.
         made_from: hashes of data and weights that the training starts from.
-        name: of the checkpoint and the log.
         clip: largest norm of the gradient.
         log_every: updates between rows of the log.
 
@@ -126,7 +118,7 @@ def fit(
         _drop_rows(path, start)
     if start == steps:
         print(f"{checkpoint.path}: all {start} updates are done")
-    bar = tqdm(range(start, steps), initial=start, total=steps, disable=None if options.progress else True)
+    bar = tqdm(range(start, steps), initial=start, total=steps, disable=None)
     with _termination() as terminated:
         for step in bar:
             optimizer.param_groups[0]["lr"] = training.rate(step)
@@ -183,13 +175,11 @@ def _drop_rows(path: Path, done: int) -> None:
 
 
 def prepare(options: TrainingOptions) -> None:
-    """The output folder, threads and seed."""
+    """The output folder and the seed; large freed blocks of memory are kept."""
     options.out.mkdir(parents=True, exist_ok=True)
     with suppress(OSError, AttributeError):  # glibc alone has it; another C library is only slower
-        # Large freed blocks are kept: handing them back to the kernel after every update costs time.
+        # To hand them back to the kernel after every update costs time.
         libc = ctypes.CDLL("libc.so.6")
         libc.mallopt(-4, 0)  # M_MMAP_MAX
         libc.mallopt(-1, 2**31 - 1)  # M_TRIM_THRESHOLD
-    if options.threads > 0:
-        torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)

@@ -1,7 +1,5 @@
 """Figures that tell candidate networks apart without the simulator; postures scaled, rms over joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -57,7 +57,6 @@ def rnn_options(data_file: Path, encoder_file: Path) -> RnnOptions:
         batch_size=4,
         checkpoint_every=2,
         validate_every=2,
-        progress=False,
     )
 
 
@@ -76,7 +75,7 @@ def encoder_file(tmp_path_factory: pytest.TempPathFactory, pictures: np.ndarray)
         if hasattr(module, "momentum"):
             module.momentum = 1.0
     with torch.no_grad():
-        model.train()(to_image(torch.from_numpy(pictures)))
+        model.decode(model.train().encode(to_image(torch.from_numpy(pictures))))
     path = tmp_path_factory.mktemp("weights") / "cae.safetensors"
     save_autoencoder(path, model, {"data_hash": "abc"})
     return path

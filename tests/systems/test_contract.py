@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import systems
 from systems.alpha_mixer import AlphaMixer
@@ -84,10 +85,11 @@ def output_ports(system):
 def test_ports_are_those_of_the_docstring(name):
     system = CASES[name][0]()
     block = re.search(r"pydrake_system::(.*?)\n\n(?!\s+name:)", type(system).__doc__, re.DOTALL).group(1)
-    assert re.search(r"name: (\w+)", block).group(1) == name
-    inputs, outputs = (re.findall(r"- (\w+)", part) for part in block.split("output_ports:"))
-    assert inputs == [port.get_name() for port in input_ports(system)]
-    assert outputs == [port.get_name() for port in output_ports(system)]
+    assert yaml.safe_load(block) == {
+        "name": name,
+        "input_ports": [port.get_name() for port in input_ports(system)],
+        "output_ports": [port.get_name() for port in output_ports(system)],
+    }
 
 
 @each

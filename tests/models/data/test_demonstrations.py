@@ -39,7 +39,8 @@ def test_small_movement_counts_as_dwell() -> None:
     posture = ramp(12, 10, 20)
     posture[8] = 0.015
     assert subtask_ranges(demo(posture)) == [(9, 35)]
-    assert subtask_ranges(demo(posture), tolerance=0.01) == [(5, 35)]
+    posture[8] = 0.025
+    assert subtask_ranges(demo(posture)) == [(5, 35)]
 
 
 def test_nothing_moving_is_an_error() -> None:
@@ -54,9 +55,7 @@ def test_reads_the_layout(data_file: Path) -> None:
     assert len(read_demonstrations(data_file, "train")) == 4
     assert demos[0].posture.shape == (100, 8)
     assert demos[0].subtask_starts == (0, 48)
-    header = read_header(data_file)
-    np.testing.assert_array_equal(header.initial_posture, synthetic.INITIAL_POSTURE)
-    assert (header.period, header.total) == (0.1, 800)
+    np.testing.assert_array_equal(read_header(data_file).initial_posture, synthetic.INITIAL_POSTURE)
     (rgb,) = iterate_frames(data_file, ["demo_1"])
     assert rgb.shape == (100, 112, 112, 3)
     assert rgb.dtype == np.uint8
@@ -75,7 +74,7 @@ def test_missing_and_damaged_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"none\.h5: the data set does not exist"):
         read_demonstrations(tmp_path / "none.h5")
     (tmp_path / "bad.h5").write_bytes(b"no data")
-    with pytest.raises(DatasetError, match=r"bad\.h5: not a readable"):
+    with pytest.raises(DatasetError, match=r"bad\.h5 is no HDF5 .*record it again"):
         read_header(tmp_path / "bad.h5")
     h5py.File(tmp_path / "other.h5", "w").close()
     for read in (read_header, read_demonstrations, lambda path: next(iterate_frames(path, ["demo_0"]))):
@@ -89,9 +88,9 @@ def test_a_file_that_another_program_writes_is_not_called_damaged(data_file: Pat
     code = f"import h5py, sys; file = h5py.File({str(path)!r}, 'a'); print('open', flush=True); sys.stdin.read()"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
         assert writer.stdout.readline() == b"open\n"
-        with pytest.raises(DatasetError, match=r"d\.h5: another program has it open for writing\. Wait"):
+        with pytest.raises(DatasetError, match=r"d\.h5 is in use by another program: wait"):
             read_header(path)
-    assert read_header(path).total == 800
+    assert read_header(path).content_hash == "00" * 32
 
 
 def test_content_is_of_what_the_file_holds(data_file: Path, grown_data_file: Path, tmp_path: Path) -> None:

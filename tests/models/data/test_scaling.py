@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import torch
 
 from models.data.scaling import MinMaxScaling
 
@@ -12,13 +11,6 @@ def test_maps_bounds_to_one_and_back() -> None:
     )
     x = np.random.default_rng(0).normal(size=(5, 2))
     np.testing.assert_allclose(scaling.unscale(scaling.scale(x)), x)
-
-
-def test_torch_gives_numpy_s_numbers_in_its_own_dtype() -> None:
-    scaling = MinMaxScaling(np.array([-1.0, 0.0]), np.array([3.0, 0.08]))
-    x = torch.tensor([[0.5, 0.02]])
-    assert scaling.scale(x).dtype == torch.float32
-    np.testing.assert_allclose(scaling.scale(x).numpy(), scaling.scale(x.double().numpy()), rtol=1e-6)
 
 
 def test_from_data_widens_by_the_margin_and_keeps_a_least_range() -> None:

@@ -23,29 +23,29 @@ INITIAL = torch.zeros(8)
 
 def random_pack(count: int = 6, length: int = 60, padding: int = 30) -> SequencePack:
     g = torch.Generator().manual_seed(0)
-    m, f = (torch.rand(count, length + padding, n, generator=g) for n in (8, 30))
-    return SequencePack(m, f, m + 0.1, f + 0.1, length - 5 + torch.arange(count) % 6, torch.arange(count) % 2)
+    x = torch.cat([torch.rand(count, length + padding, n, generator=g) for n in (8, 30)], -1)
+    return SequencePack(x, x + 0.1, length - 5 + torch.arange(count) % 6, torch.arange(count) % 2)
 
 
 def test_pack_aligns_targets_one_tick_ahead_and_rests_at_the_end() -> None:
     one = demo(ramp(12, 10, 20), ramp(2, 10, 5))
     one.posture[:] += 1e-4 * np.arange(len(one.posture))[:, None]
     features = {"demo_0": np.arange(len(one.posture))[:, None] * np.ones(30)}
-    pack = pack_sequences([one], features, MinMaxScaling(-np.ones(8), np.ones(8)), padding=4)
+    pack = pack_sequences([one], features, MinMaxScaling(-np.ones(8), np.ones(8)), "posture", 4)
     assert pack.length.tolist() == [26, 17]
     assert pack.subtask.tolist() == [0, 1]
-    assert pack.feature[0, :, 0].tolist() == [*range(9, 35), 34, 34, 34, 34]
-    assert pack.feature_target[0, :, 0].tolist() == [*range(10, 36), 35, 35, 35, 35]
-    assert pack.feature_target[1, 16, 0] == 58  # the very last tick has none after it
-    torch.testing.assert_close(pack.posture[0, :26], torch.from_numpy(one.posture[9:35]).float())
-    torch.testing.assert_close(pack.posture_target[0, :26], torch.from_numpy(one.posture[10:36]).float())
+    assert pack.x[0, :, 8].tolist() == [*range(9, 35), 34, 34, 34, 34]
+    assert pack.target[0, :, 8].tolist() == [*range(10, 36), 35, 35, 35, 35]
+    assert pack.target[1, 16, 8] == 58  # the very last tick has none after it
+    torch.testing.assert_close(pack.x[0, :26, :8], torch.from_numpy(one.posture[9:35]).float())
+    torch.testing.assert_close(pack.target[0, :26, :8], torch.from_numpy(one.posture[10:36]).float())
 
 
 def test_without_augmentation_inputs_are_the_data() -> None:
     pack = random_pack()
     for options in (None, QUIET):
         batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
-        torch.testing.assert_close(batch.x, torch.cat((pack.posture, pack.feature), -1).transpose(0, 1))
+        torch.testing.assert_close(batch.x, pack.x.transpose(0, 1))
         assert not batch.closed.any()
         assert batch.last.tolist() == [54, 55, 56, 57, 58, 59]
         assert batch.valid.sum(0).tolist() == [55, 56, 57, 58, 59, 60]
@@ -55,11 +55,11 @@ def test_noise_has_the_asked_size_and_never_touches_targets() -> None:
     pack = random_pack(64)
     options = replace(QUIET, joint_noise=0.08, finger_noise=0.4, feature_noise=0.05, quiet_probability=0.0)
     batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
-    noise = batch.x - torch.cat((pack.posture, pack.feature), -1).transpose(0, 1)
+    noise = batch.x - pack.x.transpose(0, 1)
     assert noise[..., 7].std().item() == pytest.approx(0.4 * (2 / 3) ** 0.5, rel=0.1)
     assert noise[..., :7].std().item() == pytest.approx(0.08 * (2 / 3) ** 0.5, rel=0.1)  # of knots joined by lines
     assert noise[..., 8:].std().item() == pytest.approx(0.05, rel=0.05)
-    torch.testing.assert_close(batch.target[..., :8], pack.posture_target.transpose(0, 1))
+    torch.testing.assert_close(batch.target, pack.target.transpose(0, 1))
     torch.testing.assert_close(batch.pull[..., :7], batch.x[..., :7])  # the regulator sees what the network sees
 
 
@@ -86,7 +86,7 @@ def test_loop_stretches_rest_and_hold() -> None:
             assert batch.last[b] == pack.length[b] - 1
         assert pack.length[b] - 1 <= batch.last[b] <= pack.length[b] - 1 + 30
         assert torch.equal(batch.x[start - 1, b], batch.x[max(start - 2, 0), b])  # stood still for 2 ticks or more
-        clean = pack.posture[b, start:stop, :7]
+        clean = pack.x[b, start:stop, :7]
         torch.testing.assert_close(batch.pull[start:stop, b, :7], clean)
 
 
@@ -108,11 +108,11 @@ def test_closed_finger_at_the_start_of_the_first_subtask_only() -> None:
     batch = make_batch(
         pack, INITIAL, 7, replace(QUIET, closed_finger_probability=1.0), torch.Generator().manual_seed(1)
     )
-    changed = (batch.x[..., 7] != pack.posture[..., 7].t()).sum(0)
+    changed = (batch.x[..., 7] != pack.x[..., 7].t()).sum(0)
     assert changed[pack.subtask == 1].eq(0).all()
     assert changed[pack.subtask == 0].min() == 1
     assert changed[pack.subtask == 0].max() == 4
-    grip = pack.posture[torch.arange(40), pack.length - 1, 7]
+    grip = pack.x[torch.arange(40), pack.length - 1, 7]
     assert torch.equal(batch.x[0, pack.subtask == 0, 7], grip[pack.subtask == 0])
 
 

@@ -15,7 +15,8 @@ def test_sizes_of_table_one() -> None:
                 assert layer.kernel_size == (6, 6)
                 assert layer.stride == (2, 2)
     with torch.inference_mode():
-        image, feature = model(torch.rand(2, 3, 112, 112))
+        feature = model.encode(torch.rand(2, 3, 112, 112))
+        image = model.decode(feature)
     assert sizes == [
         (32, 55, 55),
         (64, 26, 26),

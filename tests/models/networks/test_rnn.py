@@ -51,7 +51,7 @@ def test_gru_is_torch_s_gru_cell() -> None:
 
 
 def test_mtrnn_against_numbers_worked_by_hand() -> None:
-    rnn = MTRNN(1, 1, fast=1, slow=1, tau_fast=2.0, tau_slow=30.0)
+    rnn = MTRNN(1, 1, (1, 1))
     with torch.no_grad():
         rnn.to_fast.weight.copy_(torch.tensor([[0.5, -1.0, 2.0, 1.0]]))  # two inputs, fast h, slow h
         rnn.to_fast.bias.fill_(0.25)
@@ -96,7 +96,7 @@ def test_network_from_outside_closes_its_loop_by_the_inherited_forward() -> None
 
 def test_written_out_loop_is_autograd_s() -> None:
     torch.manual_seed(0)
-    rnn = MTRNN(3, 4, fast=5, slow=2, tau_fast=1.5, tau_slow=4.0)
+    rnn = MTRNN(3, 4, (5, 2), (1.5, 4.0))
     x, state = torch.randn(12, 3, 7), 0.5 * torch.randn(3, rnn.state_size)
     closed = torch.zeros(12, 3, 1, dtype=torch.bool)
     closed[3:8, 0] = closed[7:, 2] = True

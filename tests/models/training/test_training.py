@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.data.demonstrations import read_demonstrations
+from models.data.demonstrations import iterate_frames, read_demonstrations
 from models.errors import InputError
 from models.files.weights import WeightsError, file_hash, load_policy, save_policy
 from models.inference import Policy
@@ -37,14 +37,14 @@ def recall_options(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> 
         features=rnn_options.features,
         steps=3,
         batch_size=4,
-        progress=False,
     )
 
 
 def test_frames_are_the_training_demonstrations_only(data_file: Path) -> None:
-    assert load_frames(data_file).shape == (400, 112, 112, 3)
-    frames = load_frames(data_file, stride=7)
-    assert len(frames) == sum(len(range(phase, 100, 7)) for phase in range(4))
+    frames = load_frames(data_file)
+    assert frames.shape == (400, 112, 112, 3)
+    names = [demo.name for demo in read_demonstrations(data_file, "train")]
+    assert np.array_equal(frames[100:200], next(iterate_frames(data_file, names[1:])))
 
 
 def test_median_image_is_what_stands_still() -> None:
@@ -104,10 +104,10 @@ def test_network_from_outside_goes_all_the_way(rnn_options: RnnOptions, tmp_path
         f"--data {rnn_options.data} --encoder {rnn_options.encoder} --features {rnn_options.features} --out {tmp_path}"
     )
     spec = f"{Elman.__module__}:Elman"
-    assert main(parse(f"rnn --rnn {spec} {files} --batch-size 4 --no-progress".split())) == 0
+    assert main(parse(f"rnn --rnn {spec} {files} --batch-size 4".split())) == 0
     candidate = tmp_path / "rnn-3.safetensors"
     assert isinstance(load_policy(candidate).rnn, Elman)
-    assert main(parse(f"recall --policy {candidate} {files} --batch-size 4 --steps 2 --no-progress".split())) == 0
+    assert main(parse(f"recall --policy {candidate} {files} --batch-size 4 --steps 2".split())) == 0
     policy = Policy(tmp_path / "policy-3.safetensors")
     assert policy.metadata["training"]["rnn"] == spec
     y, state = policy.step(np.zeros(38), policy.initial_state)

@@ -20,9 +20,9 @@ def test_figures_of_a_network_that_always_predicts_zero() -> None:
     torch.nn.init.zeros_(rnn.output.bias)
     found = validate(rnn, pack, torch.full((8,), 0.2), gain, 7)
     lengths = pack.length.tolist()
-    m, target = pack.posture[..., :7].double().numpy(), pack.posture_target[..., :7].double().numpy()
+    m, target = pack.x[..., :7].double().numpy(), pack.target[..., :7].double().numpy()
     errors = (target + gain * (m - 0.2)) ** 2
-    features = pack.feature_target.double().numpy() ** 2
+    features = pack.target[..., 8:].double().numpy() ** 2
     ends = [(errors[i], features[i], n) for i, n in enumerate(lengths)]
     assert found["open"] == pytest.approx(rms([e[:n] for e, _, n in ends]), rel=1e-5)
     assert found["feature"] == pytest.approx(rms([f[:n] for _, f, n in ends]), rel=1e-5)
@@ -57,8 +57,8 @@ def test_rollout_follows_a_ramp_as_fast_as_the_network_commands(
     speed: float, done: float, start: float, follow: float
 ) -> None:
     ramp = 0.01 * torch.arange(61.0)[None, :, None].expand(3, 61, 8)
-    feature = torch.zeros(3, 60, 30)
-    pack = SequencePack(ramp[:, :-1], feature, ramp[:, 1:], feature, torch.full((3,), 60), torch.zeros(3))
+    data = torch.cat((ramp, torch.zeros(3, 61, 30)), -1)
+    pack = SequencePack(data[:, :-1], data[:, 1:], torch.full((3,), 60), torch.zeros(3))
     found = validate(Mover(speed), pack, torch.zeros(8), 0.0, 7)
     assert found["done"] == done
     assert found["start"] == pytest.approx(start, abs=1e-5)
