@@ -8,24 +8,20 @@ the hand. The curve of gamma is drawn from a sweep with several values of --gamm
 Exit code 2: bad input.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import tyro
 
+from diagrams.episodes.record import Record
+from diagrams.world.configuration import World
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.command_line import require, run
 from models.errors import InputError
 from models.networks import NETWORKS
-
-if TYPE_CHECKING:
-    from diagrams.episodes.record import Record
-    from diagrams.world.configuration import World
 
 
 @dataclass

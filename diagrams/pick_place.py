@@ -5,8 +5,6 @@
 Exit code 0: task done; 1: the task failed; 2: bad input.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import math
@@ -66,7 +64,7 @@ def main(cli: PickPlaceArguments) -> int:
     cli.check()
     if not 0.0 <= cli.realtime_rate < math.inf:
         raise InputError(
-            f"the real-time rate {cli.realtime_rate} is negative or not finite: choose 0 (as fast as possible) or more"
+            f"the real-time rate {cli.realtime_rate} is out of range: choose 0 (as fast as possible) or more"
         )
     print(f"sampling episode {cli.seed}, loading the networks and building the diagram ...", flush=True)
     import torch
@@ -84,20 +82,15 @@ def main(cli: PickPlaceArguments) -> int:
     from models.inference import Encoder, Policy
 
     torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-    outputs = (
-        (cli.replay, (".html",)),
-        (cli.plot, PLOT_FORMATS),
-        (cli.graphviz, GRAPH_FORMATS),
-        (cli.video, (".mp4",)),
-        (cli.json, (".json",)),
-        (cli.record, (".npz",)),
-    )
-    written = {path: formats for path, formats in outputs if path is not None}
-    for path, formats in written.items():
-        if path.suffix not in formats:
-            raise InputError(
-                f"{path.name} has no format that can be written: choose a name that ends in {', '.join(formats)}"
-            )
+    formats = {
+        cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
+        cli.json: (".json",), cli.record: (".npz",),
+    }  # fmt: skip
+    written = [path for path in formats if path is not None]
+    for path in written:
+        if path.suffix not in formats[path]:
+            names = ", ".join(formats[path])
+            raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
     episode = EpisodeSampler(cli.world).episode(cli)
     encoder, policy = Encoder(cli.weights / ENCODER), Policy(cli.weights / policy_name(NETWORKS.label(cli.rnn)))
     calibration = stored_calibration(cli.detector, policy, cli.weights)
@@ -113,8 +106,7 @@ def main(cli: PickPlaceArguments) -> int:
     rollout.simulator.set_target_realtime_rate(cli.realtime_rate)
     if cli.meshcat:
         print(f"live view: {meshcat.web_url()}")
-    x, y = episode.can_xy
-    kind = episode.disturbance.kind
+    (x, y), kind = episode.can_xy, episode.disturbance.kind
     print(f"can at ({x:.3f}, {y:.3f}) m, {episode.vacant} spot vacant, disturbance {kind}", flush=True)
     meshcat.StartRecording(set_visualizations_while_recording=cli.meshcat)
     with tqdm(unit="tick", leave=False, disable=None) as bar:
@@ -145,7 +137,7 @@ def main(cli: PickPlaceArguments) -> int:
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))
     rate = f"{outcome.realtime_factor:.1f} times real time"
     print(f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({rate})")
-    print(f"written: {', '.join(str(path) for path in written)}")
+    print(f"written: {', '.join(map(str, written))}")
     return 0 if outcome.success else 1
 
 

@@ -6,8 +6,6 @@ Started again with the same --out it runs what is missing.
 Exit code 0: done; 1: some episode raised an error; 2: bad input.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys

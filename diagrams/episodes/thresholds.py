@@ -4,10 +4,9 @@ E criteria: N + 1 of the recall (scaled units squared), one a joint of the two o
 divided by its reference, dimensionless; the peak of a stretch of ticks is its largest ratio over criteria and ticks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -27,7 +26,7 @@ class ValidationRun:
     after: np.ndarray | None  # (E,) largest from the onset to the end of the disturbance + 5 ticks; None: no onset
 
     @classmethod
-    def of(cls, outcome: Outcome, record: Record) -> ValidationRun:
+    def of(cls, outcome: Outcome, record: Record) -> Self:
         """What came of `record`."""
         before, after = (record.errors[ticks] for ticks in stretches(record))
         largest = (part.max(axis=0) if len(part) else None for part in (before, after))
@@ -102,15 +101,11 @@ def middle_of_spreads(normal: np.ndarray, disturbed: np.ndarray) -> tuple[float,
     for fewer than two of either, or where the disturbed ones are no larger.
     """
     if min(len(normal), len(disturbed)) < 2:
-        raise InputError(
-            "gamma needs two finished undisturbed and two disturbed episodes at least: raise their numbers"
-        )
+        raise InputError("gamma needs two finished undisturbed and two disturbed episodes: raise their numbers")
     low, high = np.log(normal), np.log(disturbed)
     gap, spread = high.mean() - low.mean(), low.std(ddof=1) + high.std(ddof=1)
     if gap <= 0.0:
-        raise InputError(
-            "disturbed runs have no larger errors than normal ones: the recall tells nothing, train its heads longer"
-        )
+        raise InputError("disturbed runs have no larger errors than normal ones: train the recall's heads longer")
     share = low.std(ddof=1) / spread if spread > 0.0 else 0.5
     return float(np.exp(low.mean() + share * gap)), float(gap / spread) if spread > 0.0 else np.inf
 

@@ -1,7 +1,5 @@
 """What a worker of a sweep does: one episode in, one row out, whatever happens in it."""
 
-from __future__ import annotations
-
 import dataclasses
 import traceback
 from dataclasses import dataclass
