@@ -67,7 +67,6 @@ def main(cli: PickPlaceArguments) -> int:
             f"the real-time rate {cli.realtime_rate} is out of range: choose 0 (as fast as possible) or more"
         )
     print(f"sampling episode {cli.seed}, loading the networks and building the diagram ...", flush=True)
-    import torch
     from pydrake.geometry import Meshcat, MeshcatParams
     from tqdm import tqdm
 
@@ -75,13 +74,11 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.drawing.graph import save_graph
     from diagrams.drawing.timeline import FORMATS as PLOT_FORMATS
     from diagrams.drawing.timeline import save_timeline
-    from diagrams.episodes.calibration import make_detector, policy_name, stored_calibration
+    from diagrams.episodes.calibration import Controller, policy_name, stored_calibration
     from diagrams.episodes.record import save_record
-    from diagrams.episodes.rollout import Rollout
+    from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
-    from models.inference import Encoder, Policy
 
-    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
     formats = {
         cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
         cli.json: (".json",), cli.record: (".npz",),
@@ -92,15 +89,14 @@ def main(cli: PickPlaceArguments) -> int:
             names = ", ".join(formats[path])
             raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
     episode = EpisodeSampler(cli.world).episode(cli)
-    encoder, policy = Encoder(cli.weights / ENCODER), Policy(cli.weights / policy_name(NETWORKS.label(cli.rnn)))
-    calibration = stored_calibration(cli.detector, policy, cli.weights)
-    detector = make_detector(cli.detector, policy, cli.weights)
+    controller = Controller(cli.weights / policy_name(NETWORKS.label(cli.rnn)), cli.detector)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    rollout = Rollout(cli.world, encoder, policy, detector, calibration, meshcat=meshcat, video=cli.video)
+    rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, meshcat=meshcat, video=cli.video)
+    calibration = stored_calibration(cli.detector, rollout.policy, cli.weights)
     for path in written:
         require_writable(path)
     rollout.simulator.set_target_realtime_rate(cli.realtime_rate)
@@ -115,6 +111,7 @@ def main(cli: PickPlaceArguments) -> int:
             on_event=lambda seconds, what: tqdm.write(f"{seconds:6.1f} s  {what}"),
             on_tick=lambda _: bar.update(),
             pictures=cli.record is not None,
+            calibration=calibration,
         )
     word = "done" if outcome.success else f"failed ({outcome.failure})"
     if cli.json is not None:
@@ -126,7 +123,7 @@ def main(cli: PickPlaceArguments) -> int:
     if rollout.video is not None:
         rollout.video.Save()
     cli.replay.write_text(meshcat.StaticHtml())
-    title = f"{policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
+    title = f"{rollout.policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
     _draw("timeline", lambda: save_timeline(record, cli.plot, title))
     _draw("diagram", lambda: save_graph(rollout.diagram, cli.graphviz))
     stages = {"picked": outcome.picked, "placed": outcome.placed, "at the initial posture": outcome.home}

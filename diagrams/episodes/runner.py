@@ -28,13 +28,29 @@ class Job:
     pictures: bool = False
 
 
+def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
+    """The Rollout with the networks in these files and a detector that is not calibrated yet; `shown`: see Rollout.
+
+    Raises InputError as `make_detector` and `Rollout` do, WeightsError for a file that is missing or damaged.
+    """
+    import torch
+
+    from diagrams.episodes.rollout import Rollout
+    from models.inference import Encoder, Policy
+
+    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
+    policy = Policy(controller.policy)
+    detector = make_detector(controller.detector, policy, controller.policy.parent)
+    return Rollout(world, kept_in_thread(("encoder", encoder), lambda: Encoder(encoder)), policy, detector, **shown)
+
+
 def run_episode(job: Job) -> tuple[Outcome, Record]:
     """Runs the episode of `job`; raises InputError as `make_detector`, `EpisodeSampler` and `Rollout` do."""
     from diagrams.episodes.sampling import EpisodeSampler
 
     controller, world = job.controller, repr(job.world)
     parts = ("rollout", world, job.encoder, controller.policy, controller.detector)
-    rollout = kept_in_thread(parts, lambda: _build(job), KEPT)
+    rollout = kept_in_thread(parts, lambda: build_rollout(job.world, job.encoder, controller), KEPT)
     episode = job.episode
     if episode is None:
         sampler = kept_in_thread(("sampler", world), lambda: EpisodeSampler(job.world))
@@ -45,15 +61,3 @@ def run_episode(job: Job) -> tuple[Outcome, Record]:
         lambda: stored_calibration(controller.detector, rollout.policy, controller.policy.parent),
     )
     return rollout.run(episode, until=job.until, pictures=job.pictures, calibration=calibration)
-
-
-def _build(job: Job):
-    import torch
-
-    from diagrams.episodes.rollout import Rollout
-    from models.inference import Encoder, Policy
-
-    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-    path = job.controller.policy
-    encoder, policy = kept_in_thread(("encoder", job.encoder), lambda: Encoder(job.encoder)), Policy(path)
-    return Rollout(job.world, encoder, policy, make_detector(job.controller.detector, policy, path.parent))

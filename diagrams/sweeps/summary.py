@@ -57,20 +57,17 @@ def measures(rows: pd.DataFrame) -> dict[str, tuple[str, str]]:
 
 def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """One entry a controller (over its training seeds) and disturbance; `rows`: a table (see table.py)."""
-    measured = measures(rows)
-    return [
-        labels
-        | {"errors": int(cell["error"].notna().sum())}
-        | {
-            measure: rate(cell[flag].to_numpy(bool), cell["training_seed"].to_numpy())
-            | {"failures": dict(collections.Counter(cell[kind][~cell[flag].astype(bool)].dropna()).most_common())}
-            for measure, (flag, kind) in measured.items()
-        }
+    found, measured = [], measures(rows)
+    for labels, cell in _groups(rows, CELL):
+        entry = labels | {"errors": int(cell["error"].notna().sum())}
+        for measure, (flag, kind) in measured.items():
+            failures = collections.Counter(cell[kind][~cell[flag].astype(bool)].dropna())
+            entry[measure] = rate(cell[flag].to_numpy(bool), cell["training_seed"].to_numpy())
+            entry[measure]["failures"] = dict(failures.most_common())
         # A false alarm that is under way at the onset would count as noticed at once.
-        | {name: spread(cell[name][cell["false_switches"] == 0]) for name in DELAYS}
-        | {name: spread(cell[name]) for name in ("sim_seconds", "realtime_factor")}
-        for labels, cell in _groups(rows, CELL)
-    ]
+        entry |= {name: spread(cell[name][cell["false_switches"] == 0]) for name in DELAYS}
+        found.append(entry | {name: spread(cell[name]) for name in ("sim_seconds", "realtime_factor")})
+    return found
 
 
 def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:

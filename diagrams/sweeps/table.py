@@ -34,8 +34,6 @@ _OWN = {
 # Of a type such as float | None the first is what the column holds.
 _OUTCOME = {name: _TYPES.get(kind) or _TYPES[get_args(kind)[0]] for name, kind in get_type_hints(Outcome).items()}
 SCHEMA = pa.schema(_OUTCOME | _OWN)
-# What differs from run to run; all other columns are the same for the same weights and seeds.
-TIMES = ("wall_seconds", "realtime_factor")
 _EPISODE = ["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]
 
 

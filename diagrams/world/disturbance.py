@@ -42,7 +42,7 @@ class Disturbance(DisturbanceParameters):
         wanted = ARM_JOINTS if self.kind == "A" else 0
         if len(self.target or []) != wanted or not np.all(np.isfinite(self.target or [])):
             raise InputError(
-                f"disturbance.target {self.target} does not fit disturbance {self.kind}: give {wanted} angles in rad"
+                f"disturbance.target {self.target} does not fit {self.kind}: give {wanted} joint angles in rad"
             )
         if (moved := self.can_moved_to) is None:
             return
