@@ -10,7 +10,7 @@ import logging
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -53,8 +53,7 @@ def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
     cli = tyro.cli(PickPlaceArguments, args=arguments, description=__doc__)
     if cli.scenario is not None:
         loaded = load_scenario(cli.scenario)
-        given = {f.name: getattr(loaded, f.name) for f in fields(Scenario)}
-        given["disturbance"] = DisturbanceArguments(**vars(loaded.disturbance))
+        given = vars(loaded) | {"disturbance": DisturbanceArguments(**vars(loaded.disturbance))}
         cli = tyro.cli(PickPlaceArguments, args=arguments, default=PickPlaceArguments(**given), description=__doc__)
     return cli
 

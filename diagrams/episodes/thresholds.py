@@ -6,6 +6,7 @@ divided by its reference, dimensionless; the peak of a stretch of ticks is its l
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Self
 
 import numpy as np
@@ -132,19 +133,17 @@ def best_in_loop(
     First `gamma` times each of `factors` with the first of `betas`, then the best gamma with the other betas.
     `switched_right`: of each episode with a beta and a gamma.
     """
-    trials: list[dict[str, float]] = []
 
-    def best(candidates: list[tuple[float, float]]) -> tuple[float, float]:
-        for beta, value in candidates:
-            right = switched_right(beta, value)
-            print(f"  beta {beta:g}, gamma {value:.1f}: {sum(right)} of {len(right)} switched right", flush=True)
-            trials.append({"beta": beta, "gamma": value, "successes": sum(right), "episodes": len(right)})
-        found = max(trials, key=lambda trial: trial["successes"])
-        return found["beta"], found["gamma"]
+    def trial(beta: float, gamma: float) -> dict[str, float]:
+        right = switched_right(beta, gamma)
+        print(f"  beta {beta:g}, gamma {gamma:.1f}: {sum(right)} of {len(right)} switched right", flush=True)
+        return {"beta": beta, "gamma": gamma, "successes": sum(right), "episodes": len(right)}
 
-    first, *others = betas
-    _, gamma = best([(first, factor * gamma) for factor in factors])
-    return *best([(beta, gamma) for beta in others]), trials
+    trials = [trial(betas[0], factor * gamma) for factor in factors]
+    found = max(trials, key=itemgetter("successes"))
+    trials += [trial(beta, found["gamma"]) for beta in betas[1:]]
+    found = max(trials, key=itemgetter("successes"))
+    return found["beta"], found["gamma"], trials
 
 
 def _done(runs: Sequence[ValidationRun]) -> list[ValidationRun]:

@@ -1,6 +1,5 @@
 """The table of a sweep, a row an episode: written when all rows are there, read together with those of other sweeps."""
 
-import os
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -42,7 +41,7 @@ def write_table(folder: Path, rows: list[dict[str, Any]]) -> Path:
     path = folder / TABLE
     partial = path.with_suffix(".partial")
     pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial)
-    os.replace(partial, path)
+    partial.replace(path)
     return path
 
 

@@ -41,9 +41,8 @@ class Disturbance(DisturbanceParameters):
             raise InputError(f"disturbance.hold_ticks {self.hold_ticks} is too short: choose 1 or more (A: 0 or more)")
         wanted = ARM_JOINTS if self.kind == "A" else 0
         if len(self.target or []) != wanted or not np.all(np.isfinite(self.target or [])):
-            raise InputError(
-                f"disturbance.target {self.target} does not fit {self.kind}: give {wanted} joint angles in rad"
-            )
+            words = f"does not fit disturbance {self.kind}: give {wanted} joint angles in rad"
+            raise InputError(f"disturbance.target {self.target} {words}")
         if (moved := self.can_moved_to) is None:
             return
         if len(moved) != 2 or not np.all(np.isfinite(moved)):

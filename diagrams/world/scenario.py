@@ -46,8 +46,8 @@ def load_scenario(path: Path) -> Scenario:
     try:
         return yaml_load_typed(schema=Scenario, filename=str(path), defaults=Scenario())
     except Exception as error:  # the loader raises many types, each with its own words for what does not fit
-        keys = "its keys are those of Scenario in diagrams/world/scenario.py"
-        raise InputError(f"the scenario file {path} does not fit: {error}; {keys}") from error
+        reason, keys = " ".join(str(error).split()), "its keys are those of Scenario in diagrams/world/scenario.py"
+        raise InputError(f"the scenario file {path} does not fit: {reason}; {keys}") from error
 
 
 def load_world(path: Path | None) -> World:

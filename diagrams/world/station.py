@@ -100,8 +100,8 @@ class PickPlaceStation(Diagram):
     - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m (the measured one stalls on
       the can).
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
-    - `can_poses` (14), `approach_distance` (1): see ApproachMeter. Truth: for scoring and disturbances, never for the
-      controller.
+    - `can_poses` (14): see ApproachMeter.
+    - `approach_distance` (1): see ApproachMeter. Truth: for scoring and disturbances, never for the controller.
     - `plant_state` (n): positions, then velocities, of the whole plant in Drake's order; rad, m, rad/s, m/s; free
       bodies in the world frame.
     - `contact_results`: Drake's ContactResults of the plant: points in m and forces in N, both in the world frame.
