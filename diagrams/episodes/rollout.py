@@ -174,8 +174,9 @@ class Rollout:
         record = Record(events=narrator.events, **{name: np.array(rows[name]) for name in ARRAYS})
         outcome = self._outcome(episode, monitor, record, self._switching(episode, rows), success, diverged)
         if until != "task":
-            outcome.success = outcome.paper_switch_success = None
-            outcome.failure = outcome.failure if outcome.failure == DIVERGED else None
+            outcome.success = None
+            if outcome.failure != DIVERGED:
+                outcome.failure = outcome.paper_switch_success = None
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
