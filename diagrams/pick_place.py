@@ -63,7 +63,7 @@ def main(cli: PickPlaceArguments) -> int:
     cli.check()
     if not 0.0 <= cli.realtime_rate < math.inf:
         raise InputError(
-            f"the real-time rate {cli.realtime_rate} is out of range: choose 0 (as fast as possible) or more"
+            f"the real-time rate {cli.realtime_rate} is negative or not finite: choose 0 (as fast as possible) or more"
         )
     print(f"sampling episode {cli.seed}, loading the networks and building the diagram ...", flush=True)
     from pydrake.geometry import Meshcat, MeshcatParams

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import io
 import json
 import os
 from dataclasses import dataclass
@@ -58,13 +59,18 @@ def stretches(record: Record) -> tuple[slice, slice]:
     return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)
 
 
+def record_bytes(record: Record, outcome: Outcome) -> bytes:
+    """The content of a record file (.npz)."""
+    text, file = json.dumps({"events": record.events, "outcome": outcome.to_dict()}), io.BytesIO()
+    np.savez_compressed(file, text=np.array(text), **{name: getattr(record, name) for name in ARRAYS})
+    return file.getvalue()
+
+
 def save_record(path: Path, record: Record, outcome: Outcome) -> None:
     """Writes `record` and `outcome` to `path` (.npz)."""
-    text = json.dumps({"events": record.events, "outcome": outcome.to_dict()})
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.stem}.{os.getpid()}.part")
-    with partial.open("wb") as file:  # by name numpy would add .npz
-        np.savez_compressed(file, text=np.array(text), **{n: getattr(record, n) for n in ARRAYS})
+    partial.write_bytes(record_bytes(record, outcome))
     partial.replace(path)
 
 
