@@ -1,5 +1,7 @@
 """Is the world that is run the one that the network was trained in?"""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
@@ -24,12 +26,13 @@ def facts(world: World) -> dict[str, Any]:
 def require_trained_for(world: World, policy) -> None:
     """Raises InputError where `policy` (see models/inference.py) was trained in another world; names both values."""
     trained = TRAINED_IN | getattr(policy, "metadata", {}).get("world", {})
-    trained |= {"initial posture": policy.initial_posture, "components": policy.posture_size}
-    have = facts(world) | {"initial posture": world.initial_posture, "components": len(world.initial_posture)}
+    trained |= {"initial posture": np.asarray(policy.initial_posture), "components": policy.posture_size}
+    initial = world.initial_posture
+    have = facts(world) | {"initial posture": initial, "components": len(initial)}
     for name in ("components", "initial posture", "period", "camera", "closed_opening"):
         if not np.allclose(have[name], trained[name], rtol=0.0, atol=1e-9):
-            ours, its = (np.array2string(np.asarray(value), precision=6) for value in (have[name], trained[name]))
+            words = [np.array2string(np.asarray(value), precision=6) for value in (have[name], trained[name])]
             raise InputError(
-                f"the world's {name.replace('_', ' ')} is {ours}, the network was trained with {its}: "
+                f"the world's {name.replace('_', ' ')} is {words[0]}, the network was trained with {words[1]}: "
                 "change the world, or train a network in it"
             )
