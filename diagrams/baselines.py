@@ -12,25 +12,24 @@ Writes a file a detector (knn.safetensors, ...) beside the networks, after each 
 a kill, and one with more policies adds them. Exit code 2: bad input.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import tyro
 
+from diagrams.episodes.calibration import Calibration, Controller, detector_file, make_detector, never_fires
+from diagrams.episodes.pool import Pool
+from diagrams.episodes.thresholds import best_in_loop, by_count
+from diagrams.episodes.validation import Validation
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, DISTURBANCES, ENCODER, WEIGHTS
+from diagrams.world.scenario import load_world
 from models.command_line import run
 from models.errors import InputError
 from systems.detectors import DETECTORS
-
-if TYPE_CHECKING:
-    from diagrams.episodes.validation import Validation
-    from models.files.detectors import StoredDetector
 
 NOTED = ("seed", "episodes", "disturbed", "trials", "factors", "betas")  # arguments that decide what is written
 
@@ -62,10 +61,6 @@ def parse(arguments: list[str] | None = None) -> BaselinesArguments:
 def main(arguments: BaselinesArguments) -> int:
     """Writes a file a detector beside the policies; returns the exit code."""
     _check(arguments)
-    from diagrams.episodes.calibration import detector_file
-    from diagrams.episodes.pool import Pool
-    from diagrams.episodes.validation import Validation
-    from diagrams.world.scenario import load_world
     from models.data.demonstrations import read_demonstrations, read_header
     from models.files.detectors import StoredDetector, save_detector
     from models.inference import Policy
@@ -107,8 +102,8 @@ def _check(arguments: BaselinesArguments) -> None:
         raise InputError("the policies lie in several folders: put them into one, where the detectors' files will be")
 
 
-def _begun(file: Path, spec: str, notes: dict[str, Any]) -> StoredDetector | None:
-    """What an earlier call left in `file`; raises InputError for other notes: it is not written over."""
+def _begun(file: Path, spec: str, notes: dict[str, Any]):
+    """The StoredDetector that an earlier call left in `file`, if any; raises InputError where its notes differ."""
     from models.files.detectors import load_detector
 
     if not file.exists():
@@ -120,13 +115,8 @@ def _begun(file: Path, spec: str, notes: dict[str, Any]) -> StoredDetector | Non
     return found
 
 
-def _calibrate(
-    arguments: BaselinesArguments, validation: Validation, path: Path, policy, spec: str, stored: StoredDetector
-) -> None:
-    """Adds to `stored` the calibration for the policy in `path`, and where it comes from."""
-    from diagrams.episodes.calibration import Calibration, Controller, make_detector, never_fires
-    from diagrams.episodes.thresholds import best_in_loop, by_count
-
+def _calibrate(arguments: BaselinesArguments, validation: Validation, path: Path, policy, spec: str, stored) -> None:
+    """Adds to the StoredDetector the calibration for the policy in `path`, and where it comes from."""
     criteria = make_detector(spec, policy, path.parent).GetOutputPort("errors").size()
     counts = {kind: arguments.episodes if kind == "none" else arguments.disturbed for kind in DISTURBANCES}
     runs = validation.run(Controller(path, spec, never_fires(criteria)), counts)

@@ -10,14 +10,17 @@
 Exit code 2: bad input.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
 
+from diagrams.episodes.calibration import Calibration, Controller, never_fires
+from diagrams.episodes.pool import Pool
+from diagrams.episodes.thresholds import by_spread
+from diagrams.episodes.validation import Validation, tally
 from diagrams.world.names import ENCODER, WEIGHTS
+from diagrams.world.scenario import load_world
 from models.command_line import require_writable, run
 from models.errors import InputError
 
@@ -46,11 +49,6 @@ def parse(arguments: list[str] | None = None) -> CalibrateArguments:
 def main(arguments: CalibrateArguments) -> int:
     """Writes `arguments.out`; returns the exit code."""
     require_writable(arguments.out)
-    from diagrams.episodes.calibration import Calibration, Controller, never_fires
-    from diagrams.episodes.pool import Pool
-    from diagrams.episodes.thresholds import by_spread
-    from diagrams.episodes.validation import Validation, tally
-    from diagrams.world.scenario import load_world
     from models.files.weights import load_policy, save_policy
     from models.inference import Policy
 

@@ -8,24 +8,19 @@ the hand. The curve of gamma is drawn from a sweep with several values of --gamm
 Exit code 2: bad input.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import tyro
 
+from diagrams.episodes.record import Record
+from diagrams.world.configuration import World
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
-from models.command_line import require, run
-from models.errors import InputError
+from models.command_line import require, require_writable, run
 from models.networks import NETWORKS
-
-if TYPE_CHECKING:
-    from diagrams.episodes.record import Record
-    from diagrams.world.configuration import World
 
 
 @dataclass
@@ -62,10 +57,7 @@ def main(arguments: FiguresArguments) -> int:
     notes: dict[str, Any] = {"rnn": rnn, "weights_hash": file_hash(path)}
     chosen = choose_records(arguments.records, notes["weights_hash"]) if arguments.records else {}
     curves, bounds = gamma_curves(read_tables(arguments.sweep)) if arguments.sweep else ({}, {})
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out} cannot be written ({error.strerror}): choose another --out") from error
+    require_writable(out / "figures.json")
     written = []
     if losses := recall_losses(arguments.weights):
         written.append(out / "fig4_recall_loss.png")
@@ -102,23 +94,23 @@ def draw_runs(
     for kind, outcome in notes["episodes"].items():
         word = "done" if outcome["success"] else f"failed ({outcome['failure']})"
         print(f"disturbance {kind}: episode {outcome['seed']}, task {word}", flush=True)
-    titles = {kind: "no disturbance" if kind == "none" else f"disturbance {kind}" for kind in chosen}
+    titles = {"none": "no disturbance", "A": "disturbance A", "B": "disturbance B"}
+    records = {titles[kind]: record for kind, (record, _) in chosen.items()}
     written = [out / "fig5_sequences.png", out / "fig7_states.png"]
-    save_sequences({titles[kind]: record for kind, (record, _) in chosen.items()}, written[0])
-    # As in the paper none and B, where both are there.
-    compared = {kind: record for kind, (record, _) in chosen.items() if kind != "A" or {"none", "B"} - set(chosen)}
-    states, origin, ratios = principal_states({titles[kind]: record for kind, record in compared.items()}, world)
+    save_sequences(records, written[0])
+    if {"none", "B"} <= set(chosen):  # these are compared in the paper
+        records.pop(titles["A"], None)
+    states, origin, ratios = principal_states(records, world)
     save_states(states, origin, ratios, written[1])
     notes["contribution_ratios"] = ratios.tolist()
     shares = ", ".join(f"PC{i + 1} {100 * share:.1f} %" for i, share in enumerate(ratios))
     print(f"contribution ratios of the hidden states: {shares}")
-    shown = list(chosen)[-1]
-    record, _ = chosen[shown]
+    title, record = list(records.items())[-1]
     if len(record.pictures):
         written.append(out / "fig6_reconstructions.png")
         save_reconstructions(reconstructions(record, decoder(autoencoder)), written[-1])
     else:
-        print(f"Fig. 6: the record of disturbance {shown} holds no pictures: left out")
+        print(f"Fig. 6: the record of {title} holds no pictures: left out")
     return sorted(written)
 
 

@@ -5,14 +5,12 @@
 Exit code 0: task done; 1: the task failed; 2: bad input.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -55,8 +53,7 @@ def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
     cli = tyro.cli(PickPlaceArguments, args=arguments, description=__doc__)
     if cli.scenario is not None:
         loaded = load_scenario(cli.scenario)
-        given = {f.name: getattr(loaded, f.name) for f in fields(Scenario)}
-        given["disturbance"] = DisturbanceArguments(**vars(loaded.disturbance))
+        given = vars(loaded) | {"disturbance": DisturbanceArguments(**vars(loaded.disturbance))}
         cli = tyro.cli(PickPlaceArguments, args=arguments, default=PickPlaceArguments(**given), description=__doc__)
     return cli
 
@@ -69,7 +66,6 @@ def main(cli: PickPlaceArguments) -> int:
             f"the real-time rate {cli.realtime_rate} is negative or not finite: choose 0 (as fast as possible) or more"
         )
     print(f"sampling episode {cli.seed}, loading the networks and building the diagram ...", flush=True)
-    import torch
     from pydrake.geometry import Meshcat, MeshcatParams
     from tqdm import tqdm
 
@@ -77,44 +73,35 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.drawing.graph import save_graph
     from diagrams.drawing.timeline import FORMATS as PLOT_FORMATS
     from diagrams.drawing.timeline import save_timeline
-    from diagrams.episodes.calibration import make_detector, policy_name, stored_calibration
+    from diagrams.episodes.calibration import Controller, policy_name, stored_calibration
     from diagrams.episodes.record import save_record
-    from diagrams.episodes.rollout import Rollout
+    from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
-    from models.inference import Encoder, Policy
 
-    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-    outputs = (
-        (cli.replay, (".html",)),
-        (cli.plot, PLOT_FORMATS),
-        (cli.graphviz, GRAPH_FORMATS),
-        (cli.video, (".mp4",)),
-        (cli.json, (".json",)),
-        (cli.record, (".npz",)),
-    )
-    written = {path: formats for path, formats in outputs if path is not None}
-    for path, formats in written.items():
-        if path.suffix not in formats:
-            raise InputError(
-                f"{path.name} has no format that can be written: choose a name that ends in {', '.join(formats)}"
-            )
+    formats = {
+        cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
+        cli.json: (".json",), cli.record: (".npz",),
+    }  # fmt: skip
+    written = [path for path in formats if path is not None]
+    for path in written:
+        if path.suffix not in formats[path]:
+            names = ", ".join(formats[path])
+            raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
     episode = EpisodeSampler(cli.world).episode(cli)
-    encoder, policy = Encoder(cli.weights / ENCODER), Policy(cli.weights / policy_name(NETWORKS.label(cli.rnn)))
-    calibration = stored_calibration(cli.detector, policy, cli.weights)
-    detector = make_detector(cli.detector, policy, cli.weights)
+    controller = Controller(cli.weights / policy_name(NETWORKS.label(cli.rnn)), cli.detector)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    rollout = Rollout(cli.world, encoder, policy, detector, calibration, meshcat=meshcat, video=cli.video)
+    rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, meshcat=meshcat, video=cli.video)
+    calibration = stored_calibration(cli.detector, rollout.policy, cli.weights)
     for path in written:
         require_writable(path)
     rollout.simulator.set_target_realtime_rate(cli.realtime_rate)
     if cli.meshcat:
         print(f"live view: {meshcat.web_url()}")
-    x, y = episode.can_xy
-    kind = episode.disturbance.kind
+    (x, y), kind = episode.can_xy, episode.disturbance.kind
     print(f"can at ({x:.3f}, {y:.3f}) m, {episode.vacant} spot vacant, disturbance {kind}", flush=True)
     meshcat.StartRecording(set_visualizations_while_recording=cli.meshcat)
     with tqdm(unit="tick", leave=False, disable=None) as bar:
@@ -123,6 +110,7 @@ def main(cli: PickPlaceArguments) -> int:
             on_event=lambda seconds, what: tqdm.write(f"{seconds:6.1f} s  {what}"),
             on_tick=lambda _: bar.update(),
             pictures=cli.record is not None,
+            calibration=calibration,
         )
     word = "done" if outcome.success else f"failed ({outcome.failure})"
     if cli.json is not None:
@@ -134,7 +122,7 @@ def main(cli: PickPlaceArguments) -> int:
     if rollout.video is not None:
         rollout.video.Save()
     cli.replay.write_text(meshcat.StaticHtml())
-    title = f"{policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
+    title = f"{rollout.policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
     _draw("timeline", lambda: save_timeline(record, cli.plot, title))
     _draw("diagram", lambda: save_graph(rollout.diagram, cli.graphviz))
     stages = {"picked": outcome.picked, "placed": outcome.placed, "at the initial posture": outcome.home}
@@ -145,7 +133,7 @@ def main(cli: PickPlaceArguments) -> int:
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))
     rate = f"{outcome.realtime_factor:.1f} times real time"
     print(f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({rate})")
-    print(f"written: {', '.join(str(path) for path in written)}")
+    print(f"written: {', '.join(map(str, written))}")
     return 0 if outcome.success else 1
 
 

@@ -6,13 +6,10 @@ Started again with the same --out it runs what is missing.
 Exit code 0: done; 1: some episode raised an error; 2: bad input.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,18 +33,14 @@ def parse(arguments: list[str] | None = None) -> SweepArguments:
     return tyro.cli(SweepArguments, args=arguments, description=__doc__)
 
 
-@contextmanager
-def workers(arguments: SweepArguments, names: list[str], most: int) -> Iterator[tuple[Any, Callable[[Task], dict]]]:
+def workers(arguments: SweepArguments, names: list[str], most: int) -> tuple[Any, Callable[[Task], dict]]:
     """A pool of at most `most` workers, of this machine or of a cluster, and what it runs on a task."""
     if arguments.scheduler is None:
-        with Pool(min(arguments.workers, most)) as pool:
-            yield pool, partial(run_task, arguments.weights)
-    else:
-        from diagrams.sweeps.cluster import DaskPool
+        return Pool(min(arguments.workers, most)), partial(run_task, arguments.weights)
+    from diagrams.sweeps.cluster import DaskPool
 
-        files = {name: (arguments.weights / name).read_bytes() for name in names}
-        with DaskPool(arguments.scheduler, files) as cluster:
-            yield cluster, cluster.with_files(run_task)
+    cluster = DaskPool(arguments.scheduler, {name: (arguments.weights / name).read_bytes() for name in names})
+    return cluster, cluster.with_files(run_task)
 
 
 def main(arguments: SweepArguments) -> int:
@@ -67,16 +60,13 @@ def main(arguments: SweepArguments) -> int:
                 raise InputError(
                     f"{out} holds episodes of other weights than {arguments.weights} has now: choose another --out"
                 )
-        missing = [
-            task for task in tasks if task.key not in rows or (arguments.retry_errors and rows[task.key]["error"])
-        ]
+        again = {key for key, row in rows.items() if arguments.retry_errors and row["error"]}
+        missing = [task for task in tasks if task.key not in rows or task.key in again]
         if missing:
             done = len(tasks) - len(missing)
             print(f"{len(tasks)} episodes, {done} of them done; starting the workers ...", flush=True)
-            with (
-                workers(arguments, names, len(missing)) as (pool, function),
-                tqdm(total=len(tasks), initial=done, unit="episode", smoothing=0.1, disable=None) as bar,
-            ):
+            pool, function = workers(arguments, names, len(missing))
+            with pool, tqdm(total=len(tasks), initial=done, unit="episode", smoothing=0.1, disable=None) as bar:
                 for task, row in pool.run(function, missing, given_up=error_row):
                     if (record := row.pop(RECORD, None)) is not None:
                         (out / "records").mkdir(exist_ok=True)
@@ -110,9 +100,8 @@ def finish(arguments: SweepArguments, rows: list[dict[str, Any]]) -> int:
     print(table(summary))
     errors = sum(row["error"] is not None for row in rows)
     if errors:
-        print(
-            f"{errors} of {len(rows)} episodes raised an error: see the column `traceback` of {path}", file=sys.stderr
-        )
+        words = f"{errors} of {len(rows)} episodes raised an error: see the column `traceback` of {path}"
+        print(words, file=sys.stderr)
     print(f"written: {path}, {arguments.out / 'summary.json'}")
     return 1 if errors else 0
 

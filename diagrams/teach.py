@@ -6,28 +6,20 @@ Each demonstration is subtask 1 followed by subtask 2, in physics, for one grid 
 run goes on where it stopped; the same seed gives the same content. Exit code 1: a demonstration failed; 2: bad input.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import tyro
 
 from diagrams.episodes.compatibility import facts
 from diagrams.episodes.pool import Pool, kept_in_thread
-from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 from models.command_line import run
 from models.errors import InputError
-
-if TYPE_CHECKING:
-    from diagrams.world.teacher import Setup
-    from models.data.recording import Recording
 
 
 @dataclass
@@ -46,8 +38,8 @@ def parse(arguments: list[str] | None = None) -> TeachArguments:
     return tyro.cli(TeachArguments, args=arguments, description=__doc__)
 
 
-def demonstrate(job: tuple[World, Setup]) -> Recording:
-    """One demonstration, in a worker: its teacher is built once."""
+def demonstrate(job):
+    """The Recording of a World and a Setup, in a worker: its teacher is built once."""
     from diagrams.world.teacher import Teacher
 
     world, setup = job

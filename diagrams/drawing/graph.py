@@ -1,7 +1,6 @@
 """The diagram as a picture."""
 
-from __future__ import annotations
-
+import itertools
 import re
 import shutil
 import subprocess
@@ -79,11 +78,12 @@ def readable(text: str) -> str:
         if head is None:
             return match[0]
         ports = [cell["port"] for cell in _CELL.finditer(match["table"]) if (match["id"], cell["port"]) in used]
-        sides = [[port for port in ports if port[0] == side] for side in "uy"]
-        rows = "\n".join(
-            "<TR>" + "".join(_cell(side, i, match["id"], label) for side in sides) + "</TR>"
-            for i in range(max(map(len, sides)))
-        )
+        cells = [
+            [f'<TD PORT="{port}" BORDER="1">{label(match["id"], port)}</TD>' for port in ports if port[0] == side]
+            for side in "uy"
+        ]
+        pairs = itertools.zip_longest(*cells, fillvalue='<TD BORDER="0"></TD>')
+        rows = "\n".join(f"<TR>{''.join(pair)}</TR>" for pair in pairs)
         title = f'<TR><TD BORDER="1" COLSPAN="2"><B>{head["name"]}</B><BR/>{head["kind"].split(".")[-1]}</TD></TR>'
         table = f'<TABLE BORDER="0" CELLSPACING="0">\n{title}\n{rows}\n</TABLE>'
         return f"{match['id']} [shape=none, border=0, label=<\n{table}\n>];"
@@ -93,9 +93,3 @@ def readable(text: str) -> str:
     return text.replace(
         "rankdir=LR", 'rankdir=LR\nnodesep=0.15\nranksep=0.5\nsize="16.5,11.7"\ndpi=200\nfontname="Helvetica"', 1
     )
-
-
-def _cell(ports: list[str], i: int, node: str, label) -> str:
-    if i >= len(ports):
-        return '<TD BORDER="0"></TD>'
-    return f'<TD PORT="{ports[i]}" BORDER="1">{label(node, ports[i])}</TD>'

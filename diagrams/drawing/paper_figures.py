@@ -1,7 +1,5 @@
 """The pictures of figures.py beside Fig. 5 (timeline.py): numbers in, one file out."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,9 +28,8 @@ def save_recall_loss(losses: Mapping[str, np.ndarray], path: Path) -> None:
 
 def save_reconstructions(columns: Sequence[tuple[float, str, Sequence[np.ndarray]]], path: Path) -> None:
     """Fig. 6; `columns`: (s, what happens, one uint8 picture (112, 112, 3) for each of PICTURES)."""
-    rows = len(PICTURES)
-    size = (1.7 * len(columns), 1.8 * rows + 0.4)
-    figure, axes = new_figure(rows, len(columns), figsize=size, squeeze=False)
+    size = (1.7 * len(columns), 1.8 * len(PICTURES) + 0.4)
+    figure, axes = new_figure(len(PICTURES), len(columns), figsize=size, squeeze=False)
     for column, (seconds, what, pictures) in zip(axes.T, columns, strict=True):
         column[0].set_title(textwrap.fill(what, 24) + f"\n{seconds:.1f} s", fontsize=6)
         for axis, picture in zip(column, pictures, strict=True):
@@ -60,11 +57,8 @@ def save_states(
                 line = np.where(chosen[:, None], states, np.nan)  # a gap where another part comes in between
                 axis.plot(line[:, i], line[:, j], color=colour, lw=1.0, marker=".", ms=2, label=label)
             axis.plot(*origin[[i, j]], color="black", marker="*", ms=12, ls="", label="switching point")
-            axis.set(
-                xlabel=f"PC{i + 1} ({100 * ratios[i]:.1f} %)",
-                ylabel=f"PC{j + 1} ({100 * ratios[j]:.1f} %)",
-                title=title,
-            )
+            x, y = (f"PC{component + 1} ({100 * ratios[component]:.1f} %)" for component in (i, j))
+            axis.set(xlabel=x, ylabel=y, title=title)
     axes[0, 0].legend(fontsize=7, frameon=False)
     save(figure, path)
 
@@ -72,12 +66,7 @@ def save_states(
 def save_gamma_curve(
     curves: Mapping[str, Sequence[dict[str, Any]]], bounds: Mapping[str, tuple[np.ndarray, np.ndarray]], path: Path
 ) -> None:
-    """Switching success against gamma, by the paper's rule: errors referred to their means.
-
-    Args:
-        curves: by a label, points with gamma, rate and interval, from episodes that were run with that gamma.
-        bounds: by the same labels, gammas and the share of episodes with no false alarm and, if disturbed, noticed.
-    """
+    """Switching success against gamma (the paper's rule); `curves`, `bounds`: see gamma_curves in sweeps/gamma.py."""
     figure, axis = new_figure(figsize=(6.5, 4))
     for n, (label, points) in enumerate(curves.items()):
         low, high = 100 * np.array([p["interval"] for p in points]).T
@@ -90,7 +79,7 @@ def save_gamma_curve(
     axis.plot([], [], color="0.4", lw=0.8, ls=":", label="no false alarm, and noticed\n(from the runs at the largest)")
     axis.set(xlabel=r"$\gamma$", ylabel="switching success (%)", xscale="log", ylim=(-3, 103))
     ticks = sorted({p["gamma"] for points in curves.values() for p in points})
-    axis.set_xticks(ticks, [f"{gamma:g}" for gamma in ticks], minor=False)
+    axis.set_xticks(ticks, [f"{gamma:g}" for gamma in ticks])
     axis.set_xticks([], minor=True)
     axis.legend(fontsize=7, frameon=False)
     save(figure, path)

@@ -1,28 +1,23 @@
 """What all pictures share: figures without a display, colours, one way of saving."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 BLUE, RED, GREEN, ORANGE = "#2b6cb0", "#c53030", "#2f855a", "#dd8a20"
 DPI = 110
-_OF_FIGURE = ("figsize", "dpi", "facecolor", "edgecolor")
 
 
-def new_figure(rows: int = 1, columns: int = 1, **keywords: Any) -> tuple[Figure, Any]:
-    """A figure and its axes; keywords as of matplotlib's `pyplot.subplots`.
+def new_figure(
+    rows: int = 1, columns: int = 1, figsize: tuple[float, float] | None = None, **keywords: Any
+) -> tuple[Figure, Any]:
+    """A figure of `figsize` (inches) and its axes; keywords as of matplotlib's `Figure.subplots`.
 
     Without pyplot: what is set from outside as its backend (MPLBACKEND) plays no part.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    of_figure = {name: keywords.pop(name) for name in _OF_FIGURE if name in keywords}
-    figure = Figure(layout="constrained", **of_figure)
+    figure = Figure(figsize, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, **keywords)
 

@@ -1,21 +1,16 @@
 """A run over time, as in the paper's Fig. 5: posture, both controllers' steps and alpha."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from diagrams.drawing.style import new_figure, save
 from diagrams.episodes.record import Record
 from diagrams.episodes.switching import GUARD
 from diagrams.world.names import ARM_JOINTS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
 LABELLED = ("disturb", "switched", "initial posture", "resumes", "picked", "placed", "taken")
@@ -38,9 +33,8 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
         if any(word in what for word in LABELLED):
             height = (height + 1) % 4 if seconds - last < 0.25 * record.time[-1] else 0
             last = seconds
-            axes[0].text(
-                seconds, 1.02 + 0.07 * height, what, fontsize=7, transform=axes[0].get_xaxis_transform(), va="bottom"
-            )
+            over = axes[0].get_xaxis_transform()
+            axes[0].text(seconds, 1.02 + 0.07 * height, what, fontsize=7, transform=over, va="bottom")
             for axis in axes:
                 axis.axvline(seconds, color="0.7", lw=0.6)
     figure.suptitle(title, fontsize=10)
@@ -50,10 +44,9 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
 
 def save_sequences(records: Mapping[str, Record], path: Path) -> None:
     """Fig. 5; `records`: one run for each title, a column each."""
-    size = (4.6 * len(records), 7.5)
-    figure, axes = new_figure(
-        4, len(records), figsize=size, sharex="col", sharey="row", squeeze=False, height_ratios=(2.2, 1.3, 1.3, 1)
-    )
+    size, heights = (4.6 * len(records), 7.5), (2.2, 1.3, 1.3, 1)
+    shared = {"sharex": "col", "sharey": "row", "squeeze": False}
+    figure, axes = new_figure(4, len(records), figsize=size, height_ratios=heights, **shared)
     for column, (title, record) in zip(axes.T, records.items(), strict=True):
         _draw_signals(column, record)
         column[0].set_title(title, fontsize=10)
@@ -66,8 +59,8 @@ def save_sequences(records: Mapping[str, Record], path: Path) -> None:
 
 def _draw_signals(axes: Sequence[Axes], record: Record) -> None:
     """On four axes the posture, the network's steps, the LQR's, and alpha."""
-    angles = (record.posture, r"$m$ (deg)"), (record.rnn_step, r"$\Delta m^R$ (deg)")
-    for axis, (rows, label) in zip(axes, (*angles, (record.regulator_step, r"$\Delta m^L$ (deg)")), strict=False):
+    labels = r"$m$ (deg)", r"$\Delta m^R$ (deg)", r"$\Delta m^L$ (deg)"
+    for axis, rows, label in zip(axes, (record.posture, record.rnn_step, record.regulator_step), labels, strict=False):
         for joint in range(ARM_JOINTS):
             axis.plot(record.time, np.rad2deg(rows[:, joint]), lw=1.1, label=f"joint {joint + 1}")
         axis.set_ylabel(label)

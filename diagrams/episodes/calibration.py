@@ -1,7 +1,5 @@
 """Which controller: the policy's file, its detector, and the detector's calibration."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass
@@ -20,13 +18,9 @@ RECALL = "recall"  # the detector whose calibration is in the policy's own file
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a detector needs beside what was learned (Eqs. 5, 6).
+    """What a detector needs beside what was learned (Eqs. 5, 6); beta and gamma are dimensionless."""
 
-    Reference errors, one a criterion (N + 1 of the recall), in the unit of the detector's errors; beta and gamma,
-    dimensionless.
-    """
-
-    reference_errors: tuple[float, ...]
+    reference_errors: tuple[float, ...]  # one a criterion (N + 1 of the recall), in the unit of the detector's errors
     beta: float
     gamma: float
 
@@ -74,10 +68,7 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
 
 
 def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
-    """SHA-256 of what the detector's file in `folder` says for that policy; not of calibrations for other policies.
-
-    Raises WeightsError for a file that is missing, damaged, or without a calibration for the policy.
-    """
+    """SHA-256 of what the detector's file in `folder` says for that policy alone; raises as `stored_calibration`."""
     from models.files.detectors import calibration_of, load_detector
 
     path = detector_file(folder, detector)

@@ -1,7 +1,5 @@
 """Episode and outcome: the unit of everything that is counted."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """What the paper's Figs. 4 to 7 show, as numbers: from weight files and from records, without running anything."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -15,6 +13,7 @@ from diagrams.world.task import at_home, lifted
 from models.errors import InputError
 from models.networks import NETWORKS
 
+Decoder = Callable[[np.ndarray], np.ndarray]  # from features to a picture
 TRAINING_SEEDS = range(10)  # that are looked for
 
 
@@ -28,42 +27,41 @@ def recall_losses(weights: Path) -> dict[str, np.ndarray]:
     losses = {}
     for rnn in NETWORKS:
         paths = [path for seed in TRAINING_SEEDS if (path := weights / policy_name(rnn, seed)).is_file()]
-        rows = [stored.mean_errors[1:] for path in paths if (stored := load_policy(path)).mean_errors is not None]
-        if rows:
-            losses[rnn] = np.array(rows)
+        means = [mean for path in paths if (mean := load_policy(path).mean_errors) is not None]
+        if means:
+            losses[rnn] = np.array(means)[:, 1:]
     return losses
 
 
 def choose_records(paths: list[Path], weights_hash: str) -> dict[str, tuple[Record, dict]]:
     """By the disturbance, in the order of DISTURBANCES, the run that is shown: its record and its outcome.
 
-    Of those with the detector `recall` and the weights of `weights_hash`, it is the first in which all went well; under
-    B one in which the can was taken from the hand, if there is one.
-
-    Args:
-        paths: records, or folders of them.
-
-    Raises InputError where none of them fits.
+    Of those in `paths` (records, or folders of them) with the detector `recall` and the weights of `weights_hash`, it
+    is the first in which all went well; under B one in which the can was taken from the hand, if there is one. Raises
+    InputError where none fits.
     """
-    found: dict[str, tuple[tuple, Record, dict]] = {}
+
+    def merit(run: tuple[Record, dict]) -> tuple[int, bool]:
+        record, outcome = run
+        taken = any("taken" in what for _, what in record.events)
+        return bool(outcome["success"]) + outcome["switch_success"], taken
+
+    found: dict[str, tuple[Record, dict]] = {}
     files = find_records(paths)
-    for path in files:
-        record, outcome = load_record(path)
+    for run in map(load_record, files):
+        _, outcome = run
+        kind = outcome["disturbance"]
         if outcome["weights_hash"] == weights_hash and outcome["detector"] == "recall":
-            taken = any("taken" in what for _, what in record.events)
-            good = int(bool(outcome["success"])) + outcome["switch_success"], taken
-            kind = outcome["disturbance"]
-            if kind not in found or good > found[kind][0]:
-                found[kind] = good, record, outcome
+            found[kind] = max(found.get(kind, run), run, key=merit)
     if not found:
         raise InputError(
             f"none of {len(files)} records is a run of these weights with the detector recall: "
             "give --weights, --rnn and --training-seed of the run"
         )
-    return {kind: found[kind][1:] for kind in DISTURBANCES if kind in found}
+    return {kind: found[kind] for kind in DISTURBANCES if kind in found}
 
 
-def decoder(path: Path) -> Callable[[np.ndarray], np.ndarray]:
+def decoder(path: Path) -> Decoder:
     """From features (30,) to a uint8 picture (112, 112, 3), of the autoencoder file `path`; raises WeightsError."""
     import torch
 
@@ -79,23 +77,16 @@ def decoder(path: Path) -> Callable[[np.ndarray], np.ndarray]:
     return decode
 
 
-def reconstructions(
-    record: Record, decode: Callable[[np.ndarray], np.ndarray]
-) -> list[tuple[float, str, list[np.ndarray]]]:
-    """For each event the picture next to it and what is decoded (see `decoder`) of f_k and of f^R_{k+1} at that tick.
-
-    Returns:
-        Of each picture s, what happened, and the three pictures.
-    """
-    happened: dict[int, list[str]] = {}
+def reconstructions(record: Record, decode: Decoder) -> list[tuple[float, str, list[np.ndarray]]]:
+    """Of the picture next to each event: s, what happened, the picture, and f_k and f^R_{k+1} decoded to pictures."""
+    times, happened = record.time[record.picture_ticks], dict[int, list[str]]()
     for seconds, what in record.events:
-        nearest = int(np.argmin(np.abs(record.time[record.picture_ticks] - seconds)))
-        happened.setdefault(nearest, []).append(what)
+        happened.setdefault(int(np.argmin(np.abs(times - seconds))), []).append(what)
     columns = []
     for n, words in happened.items():
         k = record.picture_ticks[n]
         pictures = [record.pictures[n], decode(record.features[k]), decode(record.predicted_features[k])]
-        columns.append((float(record.time[k]), "; ".join(words), pictures))
+        columns.append((float(times[n]), "; ".join(words), pictures))
     return columns
 
 
@@ -113,10 +104,8 @@ def principal_states(
 ) -> tuple[dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]], np.ndarray, np.ndarray]:
     """The hidden states of all runs on their first three principal components.
 
-    Returns:
-        runs: by their names in `records`, states (n, 3), the subtask (n,) 1 or 2, alpha (n,).
-        origin: (3,) c_0 = 0, to which the last state of every subtask is drawn in training.
-        ratios: (3,) contribution ratios.
+    Returns, by the names in `records`, states (n, 3), the subtask (n,) 1 or 2, alpha (n,); the origin (3,) c_0 = 0, to
+    which the last state of every subtask is drawn in training; and the contribution ratios (3,).
     """
     from sklearn.decomposition import PCA
 

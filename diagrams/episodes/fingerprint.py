@@ -1,9 +1,4 @@
-"""What decides the rows of a run that is resumed: world, code and definitions.
-
-Rows of another fingerprint are not mixed.
-"""
-
-from __future__ import annotations
+"""What decides the rows of a run that is resumed: world, code and definitions. Those of another are not mixed."""
 
 import dataclasses
 import functools

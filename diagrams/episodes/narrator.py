@@ -1,7 +1,5 @@
 """What happens in a run, in a few words that a person can follow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

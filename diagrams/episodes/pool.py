@@ -4,8 +4,6 @@ Each worker is a process of its own that runs one job at a time. So a worker tha
 run again by a fresh worker; a job under which workers die again and again is given up.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import threading
@@ -14,7 +12,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from queue import Empty, SimpleQueue
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from models.errors import InputError
 
@@ -39,7 +37,7 @@ class Pool:
         for _ in range(workers):
             self._idle.put(_worker())
 
-    def __enter__(self) -> Pool:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -47,18 +45,13 @@ class Pool:
             self._idle.get().shutdown(cancel_futures=True)
 
     def run(
-        self,
-        function: Callable[[J], R],
-        jobs: Iterable[J],
-        given_up: Callable[[J, WorkerDied], R] | None = None,
+        self, function: Callable[[J], R], jobs: Iterable[J], given_up: Callable[[J, WorkerDied], R] | None = None
     ) -> Iterator[tuple[J, R]]:
-        """Yields each job with `function(job)`, as they come. May be called from several threads.
+        """Yields each job with `function(job)`, as they come; what that raises is raised here.
 
-        No more jobs are handed out than there are workers: a consumer that stops early leaves the others unbegun.
-
-        Args:
-            function: of a module that can be imported; what it raises is raised here.
-            given_up: gives the result of a job under which ATTEMPTS workers died; None: WorkerDied is raised.
+        `function`: of a module that can be imported. `given_up` gives the result of a job under which ATTEMPTS workers
+        died; None: WorkerDied is raised. No more jobs are handed out than there are workers: a consumer that stops
+        early leaves the others unbegun. May be called from several threads.
         """
         if not self._workers:
             yield from ((job, function(job)) for job in jobs)

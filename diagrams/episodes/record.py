@@ -1,13 +1,10 @@
 """The record of a run: every tick, some pictures, and the file that keeps them."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
+import io
 import json
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,71 +39,56 @@ class Record:
     events: list[tuple[float, str]]  # (s, what happened)
 
 
-_ARRAYS = tuple(f.name for f in dataclasses.fields(Record) if f.name != "events")
+ARRAYS = tuple(f.name for f in dataclasses.fields(Record) if f.name != "events")
 
 
 def record_hash(record: Record) -> str:
     """SHA-256 (hexadecimal) over every number of the run but its pictures: equal for two runs that agree bit by bit."""
     total = hashlib.sha256()
-    for name in _ARRAYS:
+    for name in ARRAYS:
         if "picture" not in name:
-            array = np.ascontiguousarray(getattr(record, name))
-            total.update(f"{name} {array.dtype} {array.shape}".encode())
-            total.update(array.tobytes())
+            array = getattr(record, name)
+            total.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
     return total.hexdigest()
 
 
 def stretches(record: Record) -> tuple[slice, slice]:
-    """Ticks before the onset, and from it to the end of the disturbance + 5 ticks.
-
-    All and none without a disturbance.
-    """
+    """Ticks before the onset, and from it to the end of the disturbance + 5 ticks; undisturbed: all, and none."""
     active = record.active > 0.5
     onset = int(np.argmax(active)) if active.any() else len(active)
     return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)
 
 
+def record_bytes(record: Record, outcome: Outcome) -> bytes:
+    """The content of a record file (.npz)."""
+    text, file = json.dumps({"events": record.events, "outcome": outcome.to_dict()}), io.BytesIO()
+    np.savez_compressed(file, text=np.array(text), **{name: getattr(record, name) for name in ARRAYS})
+    return file.getvalue()
+
+
 def save_record(path: Path, record: Record, outcome: Outcome) -> None:
     """Writes `record` and `outcome` to `path` (.npz)."""
-    text = json.dumps({"events": record.events, "outcome": outcome.to_dict()})
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.stem}.{os.getpid()}.part")
-    with partial.open("wb") as file:  # by name numpy would add .npz
-        np.savez_compressed(file, text=np.array(text), **{n: getattr(record, n) for n in _ARRAYS})
+    partial.write_bytes(record_bytes(record, outcome))
     partial.replace(path)
 
 
 def load_record(path: Path) -> tuple[Record, dict]:
-    """The record in `path` and its outcome as a dictionary (see Outcome).
-
-    Raises InputError for a file that holds none.
-    """
+    """The record in `path`, and its outcome as a dictionary (see Outcome); raises InputError where there is none."""
     if not path.is_file():
         raise InputError(f"there is no record {path}: {_REMEDY}")
     try:
         with np.load(path, allow_pickle=False) as file:
             text = json.loads(str(file["text"]))
-            arrays = {name: file[name] for name in _ARRAYS}
+            arrays = {name: file[name] for name in ARRAYS}
         return Record(**arrays, events=[(float(t), str(what)) for t, what in text["events"]]), text["outcome"]
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        OSError,
-        EOFError,
-        zlib.error,
-        zipfile.BadZipFile,
-    ) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path} holds no record ({reason}): {_REMEDY}") from error
+    except Exception as error:  # numpy, zip, zlib and json raise a dozen types for a damaged file
+        raise InputError(f"{path} holds no record ({' '.join(str(error).split())}): {_REMEDY}") from error
 
 
 def find_records(paths: list[Path]) -> list[Path]:
-    """The record files among `paths`, folders replaced by the .npz files in them.
-
-    Raises InputError for an empty folder.
-    """
+    """`paths`, folders replaced by the .npz files in them; raises InputError for an empty folder."""
     found: list[Path] = []
     for path in paths:
         inside = sorted(path.glob("*.npz")) if path.is_dir() else [path]

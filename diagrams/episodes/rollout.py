@@ -1,11 +1,9 @@
 """Rollout: the whole system as one root Diagram, built once, that runs episode after episode on fresh contexts."""
 
-from __future__ import annotations
-
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
@@ -15,7 +13,7 @@ from diagrams.episodes.calibration import RECALL, Calibration, stored_calibratio
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.narrator import Narrator
-from diagrams.episodes.record import PICTURE_EVERY, Record
+from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.episodes.switching import DETECTION_TICKS, GUARD, Switching, Until
 from diagrams.world.can_mover import CanMover
 from diagrams.world.configuration import World
@@ -80,11 +78,10 @@ class Rollout:
         except ValueError as error:
             raise InputError(f"the controller cannot be built: {error}") from error
         builder.AddNamedSystem("switched_controller", self.controller)
-        self.disturbance = builder.AddNamedSystem(
-            "disturbance", Disturbance(posture_size=policy.posture_size, period=world.timing.period)
-        )
-        station, controller, disturbance = self.station, self.controller, self.disturbance
-        self.can_mover = builder.AddNamedSystem("can_mover", CanMover(station, disturbance, world.timing.period))
+        station, controller, period = self.station, self.controller, world.timing.period
+        disturbance = self.disturbance = Disturbance(posture_size=policy.posture_size, period=period)
+        builder.AddNamedSystem("disturbance", disturbance)
+        self.can_mover = builder.AddNamedSystem("can_mover", CanMover(station, disturbance, period))
         builder.Connect(station.GetOutputPort("rgb_image"), controller.GetInputPort("rgb_image"))
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
         builder.Connect(controller.GetOutputPort("desired_posture"), disturbance.GetInputPort("desired_posture"))
@@ -94,7 +91,7 @@ class Rollout:
         if video is not None:
             from pydrake.visualization import VideoWriter
 
-            self.video = builder.AddSystem(VideoWriter(filename=str(video), fps=1 / world.timing.period, backend="cv2"))
+            self.video = builder.AddSystem(VideoWriter(filename=str(video), fps=1 / period, backend="cv2"))
             builder.Connect(station.GetOutputPort("film_image"), self.video.get_input_port())
         if meshcat is not None:
             from pydrake.geometry import MeshcatVisualizer
@@ -145,74 +142,70 @@ class Rollout:
             time_limit: s, plus the time disturbed.
             calibration: see `prepare`.
         """
-        started = time.perf_counter()
+        started, period = time.perf_counter(), self.world.timing.period
         monitor = self.prepare(episode, calibration)
-        period = self.world.timing.period
-        context = self.simulator.get_mutable_context()
-        controller, disturbance = (s.GetMyContextFromRoot(context) for s in (self.controller, self.disturbance))
-        get = self.controller.GetOutputPort
-        rows: dict[str, list] = defaultdict(list, {"picture_ticks": [], "pictures": []})
         narrator = Narrator(monitor, on_event)
-        size, scaling = self.policy.posture_size, self.policy.scaling
+        rows: dict[str, list] = {name: [] for name in (*ARRAYS, "at_home")}
         success = diverged = cut = False
-        disturbed = episode.disturbance.kind != "none"
         limit, extra, k = round(time_limit / period), 0, 0
-        switching: Switching | None = None
         while k < limit + extra and not success and not cut:
-            # At the tick, before its update: the features that the update will use, from one rendering for both.
-            diverged = not self._advance(k * period)
-            if not diverged:
-                features = get("features").Eval(controller).copy()
-                # In the middle of the tick: every other output holds from the update to the next one.
-                diverged = not self._advance((k + 0.5) * period)
-            if diverged:
-                break  # what came before is kept
-            posture = scaling.unscale(get("posture_history").Eval(controller)[:size])
-            cans = self._station_output("can_poses").copy()
-            alpha = float(get("alpha").Eval(controller)[0])
-            active = bool(self.disturbance.GetOutputPort("active").Eval(disturbance)[0] > 0.5)
-            row = dict(posture=posture, alpha=alpha, active=active, can_poses=cans, features=features)
-            row |= {name: get(name).Eval(controller).copy() for name in RECORDED}
-            row["at_home"] = bool(monitor.home(posture))
-            if pictures and k % PICTURE_EVERY == 0:
-                row |= {"picture_ticks": k, "pictures": self._station_output("rgb_image").data[:, :, :3].copy()}
-            for name, value in row.items():
+            if (tick := self._tick(k, pictures)) is None:
+                diverged = True  # what came before is kept
+                break
+            posture, cans, active = tick["posture"], tick["can_poses"], tick["active"]
+            tick["at_home"] = bool(monitor.home(posture))
+            for name, value in tick.items():
                 rows[name].append(value)
-            narrator.see(k * period, posture, alpha, active, self.can_mover.moved(context), cans)
-            if disturbed and not active and any(rows["active"]) and (switching is None or switching.resumed is None):
-                switching = self._switching(rows, disturbed)
-                extra = switching.ticks_disturbed
+            taken = self.can_mover.moved(self.simulator.get_context())
+            narrator.see(k * period, posture, tick["alpha"], active, taken, cans)
+            switching = self._switching(episode, rows)
             success = monitor.success(cans, posture) and not active
-            k += 1
+            if not active:
+                extra = switching.ticks_disturbed
             if until == "switching":
-                cut = self._switching(rows, disturbed).decided
+                cut = switching.decided
             elif until == "detection":
                 cut = any(rows["active"][:-DETECTION_TICKS]) and not any(rows["active"][-DETECTION_TICKS:])
+            k += 1
             if on_tick is not None:
                 on_tick(k)
-        switching = self._switching(rows, disturbed)
-        ends = (
-            (success, "task done"),
-            (diverged, "the simulation diverged"),
-            (cut, f"{until} decided"),
-            (True, "time is up"),
-        )
-        narrator.say((k - 1) * period, next(words for came, words in ends if came))
-        rows.pop("at_home", None)
-        arrays = {name: np.array(values) for name, values in rows.items()}
-        record = Record(time=period * np.arange(k), events=narrator.events, **arrays)
-        outcome = self._outcome(episode, monitor, record, switching, success)
+        unfinished = "the simulation diverged" if diverged else f"{until} decided" if cut else "time is up"
+        narrator.say((k - 1) * period, "task done" if success else unfinished)
+        record = Record(events=narrator.events, **{name: np.array(rows[name]) for name in ARRAYS})
+        outcome = self._outcome(episode, monitor, record, self._switching(episode, rows), success, diverged)
         if until != "task":
-            outcome.success = outcome.failure = outcome.paper_switch_success = None
-        if diverged and switching.failure in (None, "not disturbed"):
-            outcome.failure = outcome.switch_failure = DIVERGED
-            outcome.switch_success = outcome.paper_switch_success = False
+            outcome.success = None
+            if outcome.failure != DIVERGED:
+                outcome.failure = outcome.paper_switch_success = None
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
 
-    def _station_output(self, port: str):
-        return self.station.GetOutputPort(port).Eval(self.station.GetMyContextFromRoot(self.simulator.get_context()))
+    def _tick(self, k: int, pictures: bool) -> dict[str, Any] | None:
+        """Runs tick k; what a Record keeps of it, or None if the physics diverged."""
+        period, get = self.world.timing.period, self._output
+        # At the tick, before its update: the features that the update will use, from one rendering for both.
+        if not self._advance(k * period):
+            return None
+        features = get(self.controller, "features").copy()
+        # In the middle of the tick: every other output holds from the update to the next one.
+        if not self._advance((k + 0.5) * period):
+            return None
+        posture = get(self.controller, "posture_history")[: self.policy.posture_size]
+        tick = {name: get(self.controller, name).copy() for name in RECORDED} | {
+            "time": k * period,
+            "posture": self.policy.scaling.unscale(posture),
+            "alpha": float(get(self.controller, "alpha")[0]),
+            "active": bool(get(self.disturbance, "active")[0] > 0.5),
+            "can_poses": get(self.station, "can_poses").copy(),
+            "features": features,
+        }
+        if pictures and k % PICTURE_EVERY == 0:
+            tick |= {"picture_ticks": k, "pictures": get(self.station, "rgb_image").data[:, :, :3].copy()}
+        return tick
+
+    def _output(self, system: System, port: str):
+        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
 
     def _advance(self, seconds: float) -> bool:
         """To that time; False if the physics diverged: something hard was squeezed between hard things."""
@@ -227,19 +220,25 @@ class Rollout:
         state = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(self.simulator.get_context()))
         return bool(np.isfinite(state).all())
 
-    def _switching(self, rows: dict[str, list], disturbed: bool) -> Switching:
+    def _switching(self, episode: Episode, rows: dict[str, list]) -> Switching:
         alpha, active, at_home = (np.array(rows[name]) for name in ("alpha", "active", "at_home"))
-        return Switching.of(alpha, active, at_home, disturbed, self.world.timing.period)
+        return Switching.of(alpha, active, at_home, episode.disturbance.kind != "none", self.world.timing.period)
 
     def _outcome(
-        self, episode: Episode, monitor: TaskMonitor, record: Record, switching: Switching, success: bool
+        self,
+        episode: Episode,
+        monitor: TaskMonitor,
+        record: Record,
+        switching: Switching,
+        success: bool,
+        diverged: bool,
     ) -> Outcome:
-        period = self.world.timing.period
-        cans, posture = record.can_poses[-1], record.posture[-1]
-        disturbed = episode.disturbance.kind != "none"
-        failure = None
-        if not success:  # what went wrong first
-            first = switching.failure if switching.failure != "not disturbed" else None
+        period, kind = self.world.timing.period, episode.disturbance.kind
+        failure, switch_failure, as_in_paper = None, switching.failure, switching.as_in_paper
+        if diverged and switch_failure in (None, "not disturbed"):
+            failure, switch_failure, as_in_paper = DIVERGED, DIVERGED, False
+        elif not success:  # what went wrong first
+            first = switch_failure if switch_failure != "not disturbed" else None
             failure = first or monitor.failure(record.can_poses, record.posture)
 
         def seconds(a: int | None, b: int | None) -> float | None:
@@ -249,25 +248,25 @@ class Rollout:
             seed=episode.seed,
             rnn=episode.rnn,
             detector=episode.detector,
-            disturbance=episode.disturbance.kind,
+            disturbance=kind,
             can_xy=(float(episode.can_xy[0]), float(episode.can_xy[1])),
             vacant=episode.vacant,
             picked=bool(lifted(record.can_poses).any()),
-            placed=monitor.placed(cans),
-            home=bool(monitor.home(posture)),
+            placed=monitor.placed(record.can_poses[-1]),
+            home=bool(monitor.home(record.posture[-1])),
             success=success,
             switched=bool((record.alpha >= GUARD).any()),
             detection_delay_s=seconds(switching.onset, switching.detected),
             false_switches=switching.false_switches,
-            returned=switching.home is not None if disturbed else None,
-            resumed=switching.resumed is not None if disturbed else None,
-            switch_success=switching.failure is None,
-            paper_switch_success=switching.as_in_paper,
+            returned=None if kind == "none" else switching.home is not None,
+            resumed=None if kind == "none" else switching.resumed is not None,
+            switch_success=switch_failure is None,
+            paper_switch_success=as_in_paper,
             alpha_max_before=switching.alpha_max_before,
             return_s=seconds(switching.end, switching.home),
             resume_s=seconds(switching.home, switching.resumed),
             failure=failure,
-            switch_failure=switching.failure,
+            switch_failure=switch_failure,
             sim_seconds=len(record.time) * period,
             weights_hash=self.policy.hash,
         )

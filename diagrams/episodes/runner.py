@@ -1,21 +1,15 @@
 """Runs one episode in a worker: what the episodes of a process share is loaded once, and each diagram is built once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from diagrams.episodes.calibration import Controller, make_detector, stored_calibration
 from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.pool import kept_in_thread
+from diagrams.episodes.record import Record
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
 from systems.detectors import DETECTORS
-
-if TYPE_CHECKING:
-    from diagrams.episodes.record import Record
-    from diagrams.episodes.rollout import Rollout
 
 KEPT = 2  # diagrams a thread keeps, each with a renderer
 
@@ -34,14 +28,29 @@ class Job:
     pictures: bool = False
 
 
+def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
+    """The Rollout with the networks in these files and a detector that is not calibrated yet; `shown`: see Rollout.
+
+    Raises InputError as `make_detector` and `Rollout` do, WeightsError for a file that is missing or damaged.
+    """
+    import torch
+
+    from diagrams.episodes.rollout import Rollout
+    from models.inference import Encoder, Policy
+
+    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
+    eye, policy = kept_in_thread(("encoder", encoder), lambda: Encoder(encoder)), Policy(controller.policy)
+    detector = make_detector(controller.detector, policy, controller.policy.parent)
+    return Rollout(world, eye, policy, detector, **shown)
+
+
 def run_episode(job: Job) -> tuple[Outcome, Record]:
     """Runs the episode of `job`; raises InputError as `make_detector`, `EpisodeSampler` and `Rollout` do."""
     from diagrams.episodes.sampling import EpisodeSampler
 
     controller, world = job.controller, repr(job.world)
-    rollout = kept_in_thread(
-        ("rollout", world, job.encoder, controller.policy, controller.detector), lambda: _build(job), KEPT
-    )
+    parts = ("rollout", world, job.encoder, controller.policy, controller.detector)
+    rollout = kept_in_thread(parts, lambda: build_rollout(job.world, job.encoder, controller), KEPT)
     episode = job.episode
     if episode is None:
         sampler = kept_in_thread(("sampler", world), lambda: EpisodeSampler(job.world))
@@ -52,15 +61,3 @@ def run_episode(job: Job) -> tuple[Outcome, Record]:
         lambda: stored_calibration(controller.detector, rollout.policy, controller.policy.parent),
     )
     return rollout.run(episode, until=job.until, pictures=job.pictures, calibration=calibration)
-
-
-def _build(job: Job) -> Rollout:
-    import torch
-
-    from diagrams.episodes.rollout import Rollout
-    from models.inference import Encoder, Policy
-
-    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-    given, folder = job.controller, job.controller.policy.parent
-    encoder, policy = kept_in_thread(("encoder", job.encoder), lambda: Encoder(job.encoder)), Policy(given.policy)
-    return Rollout(job.world, encoder, policy, make_detector(given.detector, policy, folder))

@@ -1,7 +1,5 @@
 """Sampling: from a seed to an Episode. Everything that is random about an episode is sampled here."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +18,7 @@ from models.errors import InputError
 from models.networks import NETWORKS
 from systems.detectors import DETECTORS
 
+XY = tuple[float, float]  # m, world
 UNLEARNED = (0.010, 0.020)  # distance of an unlearned position to the nearest trained one, m
 # Distance to the goal at which the disturbance begins, m. Subtask 1: the fingers do not surround the can yet;
 # subtask 2: the can does not touch the shelf yet.
@@ -50,6 +49,25 @@ def episode_seeds(purpose: str, seed: int, count: int) -> list[int]:
         )
     base = SEED_BASE[purpose] + SEEDS_APART * seed
     return list(range(base, base + count))
+
+
+@dataclass(frozen=True)
+class _Approach:
+    """The demonstrated motion of a subtask: joint angles (n, 7) rad, distance to the goal (n,) m, where in words."""
+
+    joints: np.ndarray
+    distances: np.ndarray
+    where: str
+
+    def joints_at(self, level: float) -> np.ndarray:
+        """(7,) rad: where the teacher is when the distance falls below `level` (m)."""
+        below = np.flatnonzero(self.distances < level)
+        if not len(below):
+            raise InputError(
+                f"the demonstrated motion of {self.where} does not come within {level:.3f} m of its goal: "
+                "choose a disturbance.level above that"
+            )
+        return self.joints[below[0]]
 
 
 class EpisodeSampler:
@@ -89,16 +107,9 @@ class EpisodeSampler:
 
         Raises InputError as `sample` does.
         """
-        given = scenario.disturbance
+        given, rnn, detector = scenario.disturbance, NETWORKS.label(scenario.rnn), DETECTORS.label(scenario.detector)
         kind = given.kind if given.level is None else "none"
-        episode = self.sample(
-            scenario.seed,
-            kind,
-            scenario.can,
-            scenario.vacant,
-            NETWORKS.label(scenario.rnn),
-            DETECTORS.label(scenario.detector),
-        )
+        episode = self.sample(scenario.seed, kind, scenario.can, scenario.vacant, rnn, detector)
         if given.level is None or given.kind == "none":
             return episode
         if given.target is not None and self._hand.margin(np.array(given.target)) < 0.0:
@@ -114,18 +125,17 @@ class EpisodeSampler:
         """Raises InputError unless the hand can hover over, grasp and lift a can at `can_xy` (m, world)."""
         if not np.all(np.isfinite(can_xy)):
             raise InputError(f"the can's position {can_xy} is not a pair of numbers: give x and y in metres")
-        lower, upper = self._world.grid.bounds
         margin = 0.5 * self._world.grid.spacing
-        if np.any(np.asarray(can_xy) < lower - margin) or np.any(np.asarray(can_xy) > upper + margin):
+        lower, upper = self._world.grid.bounds[0] - margin, self._world.grid.bounds[1] + margin
+        if np.any(np.asarray(can_xy) < lower) or np.any(np.asarray(can_xy) > upper):
             raise InputError(
                 f"the can at ({can_xy[0]:.3f}, {can_xy[1]:.3f}) m is out of reach of what was taught: "
-                f"choose x in [{lower[0] - margin:.2f}, {upper[0] + margin:.2f}] and y in [{lower[1] - margin:.2f}, "
-                f"{upper[1] + margin:.2f}]"
+                f"choose x in [{lower[0]:.2f}, {upper[0]:.2f}] and y in [{lower[1]:.2f}, {upper[1]:.2f}]"
             )
         for height in (0.0, HOVER):
             self._hand.solve_ik(np.array([*can_xy, CAN_HALF_HEIGHT + GRASP_ABOVE_CENTRE + height]))
 
-    def unlearned_position(self, rng: np.random.Generator) -> tuple[float, float]:
+    def unlearned_position(self, rng: np.random.Generator) -> XY:
         """World x, y (m) in the trained positions' convex hull, 1.0 to 2.0 cm from the nearest of them."""
         lower, upper = self._world.grid.bounds
         trained = self._world.grid.training_positions()
@@ -139,12 +149,10 @@ class EpisodeSampler:
             f"raise world.grid.spacing ({self._world.grid.spacing} m) or count ({self._world.grid.count})"
         )
 
-    def _disturbance(
-        self, rng: np.random.Generator, kind: str, can_xy: tuple[float, float], vacant: str
-    ) -> Disturbance:
+    def _disturbance(self, rng: np.random.Generator, kind: str, can_xy: XY, vacant: str) -> Disturbance:
         # First what the scene has no say in, so that another can or spot leaves it as it is.
         subtask = int(rng.integers(1, 3))
-        hold = int(rng.integers(STOP_TICKS[0], STOP_TICKS[1] + 1))
+        hold = int(rng.integers(*STOP_TICKS, endpoint=True))
         taken = subtask == 2 and rng.uniform() < CAN_TAKEN_SHARE
         elsewhere = self.unlearned_position(rng)
         if kind == "none":
@@ -157,7 +165,7 @@ class EpisodeSampler:
             return Disturbance("A", level, self._deflected(rng, start, approach).tolist(), HELD_TICKS, subtask)
         raise InputError(f"there is no disturbance '{kind}': choose none, A or B")
 
-    def _approach(self, subtask: int, can_xy: tuple[float, float], vacant: str) -> _Approach:
+    def _approach(self, subtask: int, can_xy: XY, vacant: str) -> _Approach:
         self._checker.set_scene(can_xy if subtask == 1 else None, vacant)
         centre = np.array([*can_xy, CAN_HALF_HEIGHT]) if subtask == 1 else self._checker.spot(vacant)
         joints = subtask_commands(self._world, self._hand, centre, subtask)[:, :ARM_JOINTS]
@@ -183,7 +191,7 @@ class EpisodeSampler:
         lower, upper = self._hand.lower + LIMIT_MARGIN, self._hand.upper - LIMIT_MARGIN
         touches = self._checker.path_touches
         for _ in range(2000):
-            count = rng.integers(DEFLECTED_JOINTS[0], DEFLECTED_JOINTS[1] + 1)
+            count = rng.integers(*DEFLECTED_JOINTS, endpoint=True)
             joints = rng.choice(ARM_JOINTS, size=count, replace=False)
             offset = np.zeros(ARM_JOINTS)
             offset[joints] = rng.choice([-1.0, 1.0], size=count) * np.deg2rad(rng.uniform(*DEFLECTION_DEG, size=count))
@@ -194,25 +202,5 @@ class EpisodeSampler:
                 return target
         raise InputError(
             f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found from which the arm comes "
-            "home "
-            f"freely, in {approach.where}: give disturbance.target"
+            f"home freely, in {approach.where}: give disturbance.target"
         )
-
-
-@dataclass(frozen=True)
-class _Approach:
-    """The demonstrated motion of a subtask: joint angles (n, 7) rad, distance to the goal (n,) m, where in words."""
-
-    joints: np.ndarray
-    distances: np.ndarray
-    where: str
-
-    def joints_at(self, level: float) -> np.ndarray:
-        """(7,) rad: where the teacher is when the distance falls below `level` (m)."""
-        below = np.flatnonzero(self.distances < level)
-        if not len(below):
-            raise InputError(
-                f"the demonstrated motion of {self.where} does not come within {level:.3f} m of its goal: "
-                "choose a disturbance.level above that"
-            )
-        return self.joints[below[0]]

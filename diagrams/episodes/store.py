@@ -1,12 +1,10 @@
 """The one store for what is resumed: rows appended to a file, a line of JSON each, on disk before they are counted."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from models.errors import InputError
 
@@ -33,9 +31,7 @@ class RowStore:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise InputError(
-                f"{path} is in use by another program: wait for its end, or choose another --out"
-            ) from error
+            raise InputError(f"{path} is in use by another program: wait for it, or choose another --out") from error
         self._file.seek(0)
         lines = self._file.read().split(b"\n")
         whole = sum(len(line) + 1 for line in lines[:-1])
@@ -46,12 +42,11 @@ class RowStore:
                     _require_same(path, content["fingerprint"], fingerprint)
                 else:
                     self.rows[content["key"]] = content["row"]
+            except InputError:
+                raise
             except (ValueError, KeyError, TypeError) as error:
-                if isinstance(error, InputError):
-                    raise
-                raise InputError(
-                    f"{path} is damaged in line {number}: delete that line, or choose another --out"
-                ) from error
+                words = f"{path} is damaged in line {number}: delete that line, or choose another --out"
+                raise InputError(words) from error
         self._file.truncate(whole)
         if len(lines) == 1:
             self._write({"fingerprint": fingerprint})
@@ -61,7 +56,7 @@ class RowStore:
         self._write({"key": key, "row": row})
         self.rows[key] = row
 
-    def __enter__(self) -> RowStore:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -76,13 +71,8 @@ class RowStore:
 
 def _require_same(path: Path, have: dict[str, Any], want: dict[str, Any]) -> None:
     for name in want.keys() | have.keys():
-        if have.get(name) != want.get(name):
+        if (old := have.get(name)) != (new := want.get(name)):
             raise InputError(
-                f"{path} was made with another {name} ({_short(have.get(name))}, now {_short(want.get(name))}): "
+                f"{path} was made with another {name} ({old!s:.40}, now {new!s:.40}): "
                 "choose another --out, or go on as it was begun"
             )
-
-
-def _short(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 40 else text[:37] + "..."

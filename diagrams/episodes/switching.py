@@ -8,10 +8,8 @@ initial posture at some later tick, whoever led it there and whatever alpha was 
 after that tick. Undisturbed: as above.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -33,34 +31,29 @@ SWITCHING_FAILURES = ("false switch", "not disturbed", *DEFEATS)
 class Switching:
     """The switching of one run, from its ticks; tick indices are None where the event did not come."""
 
-    onset: int | None
-    end: int | None  # first tick after the disturbance
-    detected: int | None
-    home: int | None
-    resumed: int | None
     false_switches: int
     alpha_max_before: float
     failure: str | None
     as_in_paper: bool  # success in the paper's words
     decided: bool  # no later tick can change `failure`
+    onset: int | None = None
+    end: int | None = None  # first tick after the disturbance
+    detected: int | None = None
+    home: int | None = None
+    resumed: int | None = None
 
     @classmethod
-    def of(
-        cls, alpha: np.ndarray, active: np.ndarray, at_home: np.ndarray, disturbed: bool, period: float
-    ) -> Switching:
+    def of(cls, alpha: np.ndarray, active: np.ndarray, at_home: np.ndarray, disturbed: bool, period: float) -> Self:
         """`alpha`, `active`, `at_home`: (ticks,) arrays; `disturbed`: whether a disturbance was due."""
+        came = disturbed and bool(active.any())
+        onset = int(np.argmax(active)) if came else len(alpha)
         high = alpha >= GUARD
-        if not disturbed or not active.any():
-            crossings = int(np.count_nonzero(np.diff(high.astype(int), prepend=0) > 0))
+        crossings = int(np.count_nonzero(np.diff(high[:onset].astype(int), prepend=0) > 0))
+        largest = float(alpha[:onset].max(initial=0.0))
+        if not came:
             failure = "false switch" if crossings else ("not disturbed" if disturbed else None)
-            return cls(
-                None, None, None, None, None, crossings, float(alpha.max(initial=0.0)), failure,
-                as_in_paper=failure is None, decided=crossings > 0,
-            )  # fmt: skip
-        onset = int(np.argmax(active))
+            return cls(crossings, largest, failure, as_in_paper=failure is None, decided=crossings > 0)
         end = onset + int(np.count_nonzero(active))
-        before = high[:onset]
-        crossings = int(np.count_nonzero(np.diff(before.astype(int), prepend=0) > 0))
         detected = _first(alpha >= DETECTED, onset, end + DETECTION_TICKS)
         home = resumed = let_go = None
         as_in_paper, patience = False, round(RESUME_SECONDS / period) + 1
@@ -72,33 +65,17 @@ class Switching:
                 resumed = _first(alpha <= RESUMED, home, home + patience)
             homes, low = np.flatnonzero(at_home[start:]) + start, np.append(np.flatnonzero(alpha <= RESUMED), np.inf)
             as_in_paper = bool(np.any(low[np.searchsorted(low, homes)] < homes + patience))
-        failure = (
-            "false switch" if crossings
-            else "not detected" if detected is None
-            else "not returned" if home is None
-            else "not resumed" if resumed is None
-            else None
-        )  # fmt: skip
-        decided = bool(crossings) or (
-            not active[-1]
-            and (
-                len(alpha) >= end + DETECTION_TICKS if detected is None
-                else let_go is not None if home is None
-                else resumed is not None or len(alpha) >= home + patience
-            )
-        )  # fmt: skip
-        return cls(
-            onset,
-            end,
-            detected,
-            home,
-            resumed,
-            crossings,
-            float(alpha[:onset].max(initial=0.0)),
-            failure,
-            as_in_paper,
-            decided,
-        )
+        # What is missing, and whether it can still come.
+        if detected is None:
+            failure, over = "not detected", len(alpha) >= end + DETECTION_TICKS
+        elif home is None:
+            failure, over = "not returned", let_go is not None
+        else:
+            failure, over = ("not resumed" if resumed is None else None), len(alpha) >= home + patience
+        if crossings:
+            failure = "false switch"
+        decided = bool(crossings) or (not active[-1] and (over or resumed is not None))
+        return cls(crossings, largest, failure, as_in_paper, decided, onset, end, detected, home, resumed)
 
     @property
     def ticks_disturbed(self) -> int:

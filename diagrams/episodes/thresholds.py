@@ -4,10 +4,10 @@ E criteria: N + 1 of the recall (scaled units squared), one a joint of the two o
 divided by its reference, dimensionless; the peak of a stretch of ticks is its largest ratio over criteria and ticks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
+from typing import Self
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class ValidationRun:
     after: np.ndarray | None  # (E,) largest from the onset to the end of the disturbance + 5 ticks; None: no onset
 
     @classmethod
-    def of(cls, outcome: Outcome, record: Record) -> ValidationRun:
+    def of(cls, outcome: Outcome, record: Record) -> Self:
         """What came of `record`."""
         before, after = (record.errors[ticks] for ticks in stretches(record))
         largest = (part.max(axis=0) if len(part) else None for part in (before, after))
@@ -102,15 +102,11 @@ def middle_of_spreads(normal: np.ndarray, disturbed: np.ndarray) -> tuple[float,
     for fewer than two of either, or where the disturbed ones are no larger.
     """
     if min(len(normal), len(disturbed)) < 2:
-        raise InputError(
-            "gamma needs two finished undisturbed and two disturbed episodes at least: raise their numbers"
-        )
+        raise InputError("gamma needs two finished undisturbed and two disturbed episodes: raise their numbers")
     low, high = np.log(normal), np.log(disturbed)
     gap, spread = high.mean() - low.mean(), low.std(ddof=1) + high.std(ddof=1)
     if gap <= 0.0:
-        raise InputError(
-            "disturbed runs have no larger errors than normal ones: the recall tells nothing, train its heads longer"
-        )
+        raise InputError("disturbed runs have no larger errors than normal ones: train the recall's heads longer")
     share = low.std(ddof=1) / spread if spread > 0.0 else 0.5
     return float(np.exp(low.mean() + share * gap)), float(gap / spread) if spread > 0.0 else np.inf
 
@@ -137,19 +133,17 @@ def best_in_loop(
     First `gamma` times each of `factors` with the first of `betas`, then the best gamma with the other betas.
     `switched_right`: of each episode with a beta and a gamma.
     """
-    trials: list[dict[str, float]] = []
 
-    def best(candidates: list[tuple[float, float]]) -> tuple[float, float]:
-        for beta, value in candidates:
-            right = switched_right(beta, value)
-            print(f"  beta {beta:g}, gamma {value:.1f}: {sum(right)} of {len(right)} switched right", flush=True)
-            trials.append({"beta": beta, "gamma": value, "successes": sum(right), "episodes": len(right)})
-        found = max(trials, key=lambda trial: trial["successes"])
-        return found["beta"], found["gamma"]
+    def trial(beta: float, gamma: float) -> dict[str, float]:
+        right = switched_right(beta, gamma)
+        print(f"  beta {beta:g}, gamma {gamma:.1f}: {sum(right)} of {len(right)} switched right", flush=True)
+        return {"beta": beta, "gamma": gamma, "successes": sum(right), "episodes": len(right)}
 
-    first, *others = betas
-    _, gamma = best([(first, factor * gamma) for factor in factors])
-    return *best([(beta, gamma) for beta in others]), trials
+    trials = [trial(betas[0], factor * gamma) for factor in factors]
+    found = max(trials, key=itemgetter("successes"))
+    trials += [trial(beta, found["gamma"]) for beta in betas[1:]]
+    found = max(trials, key=itemgetter("successes"))
+    return found["beta"], found["gamma"], trials
 
 
 def _done(runs: Sequence[ValidationRun]) -> list[ValidationRun]:

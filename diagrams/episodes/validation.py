@@ -1,7 +1,5 @@
 """Validation episodes, on which networks are chosen and detectors calibrated. Their seeds are no evaluation's."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,14 +38,12 @@ class Validation:
         from tqdm import tqdm
 
         seeds = episode_seeds("validation", self.seed, max(counts.values()))
+        ends = {kind: until or ("task" if kind == "none" else "detection") for kind in counts}
         jobs = [
-            Job(
-                self.world, self.encoder, controller, seed, kind,
-                until=until or ("task" if kind == "none" else "detection"),
-            )
+            Job(self.world, self.encoder, controller, seed, kind, until=ends[kind])
             for kind, count in counts.items()
             for seed in seeds[:count]
-        ]  # fmt: skip
+        ]
         words = f"{controller.policy.stem} {DETECTORS.label(controller.detector)} {', '.join(counts)}"
         done = self.pool.run(run_validation, jobs)
         bar = tqdm(done, total=len(jobs), desc=words, unit="episode", leave=False, disable=None)

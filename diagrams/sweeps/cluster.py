@@ -1,12 +1,10 @@
 """A Dask cluster with the face of the pool of this machine (diagrams/episodes/pool.py)."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from distributed import Client, WorkerPlugin, as_completed, get_worker
 from distributed import Worker as DaskWorker
@@ -23,10 +21,8 @@ class WeightFiles(WorkerPlugin):
     def __init__(self, files: dict[str, bytes]):
         """`files`: name to content."""
         self.files = files
-        digest = hashlib.sha256()
-        for name, content in sorted(files.items()):
-            digest.update(name.encode() + b"\0" + hashlib.sha256(content).digest())
-        self.hash = digest.hexdigest()
+        contents = [(name, hashlib.sha256(content).hexdigest()) for name, content in sorted(files.items())]
+        self.hash = hashlib.sha256(repr(contents).encode()).hexdigest()
         self.name = f"hindsight-{self.hash}"  # one that has another's name takes its place
 
     def setup(self, worker: DaskWorker) -> None:
@@ -53,7 +49,7 @@ class DaskPool:
             raise InputError(f"there is no Dask scheduler at {scheduler} ({error}): check the address") from error
         self._client.register_plugin(self._files)
 
-    def __enter__(self) -> DaskPool:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -64,17 +60,12 @@ class DaskPool:
         return partial(_call_with_files, function, self._files.hash)
 
     def run(
-        self,
-        function: Callable[[J], R],
-        jobs: Iterable[J],
-        given_up: Callable[[J, BaseException], R] | None = None,
+        self, function: Callable[[J], R], jobs: Iterable[J], given_up: Callable[[J, BaseException], R] | None = None
     ) -> Iterator[tuple[J, R]]:
         """Yields each job with `function(job)`, as they come; a job that the cluster gave up does not come.
 
-        Args:
-            function: of a module that the workers can import.
-            given_up: gives the result of a job that raised, or under which more workers died than the scheduler allows;
-                None: that is raised.
+        `function`: of a module that the workers can import. `given_up` gives the result of a job that raised, or under
+        which more workers died than the scheduler allows; None: that is raised.
         """
         jobs = list(jobs)
         futures = self._client.map(function, jobs, pure=False)

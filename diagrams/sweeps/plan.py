@@ -1,7 +1,5 @@
 """What a sweep is asked for, checked, and the episodes that this makes."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import os
@@ -56,12 +54,10 @@ class SweepArguments:
             if not least <= number <= most:
                 raise InputError(f"the {what} {number} is out of range: choose from {least} to {most}")
         for gamma in self.gamma:
-            if not (math.isfinite(gamma) and gamma > 0.0):
+            if not 0.0 < gamma < math.inf:
                 raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
         if self.keep_records and self.until != "task":
-            raise InputError(
-                "--keep-records keeps whole episodes, which --until switching cuts short: leave one of them out"
-            )
+            raise InputError("--keep-records keeps whole episodes, which --until switching cuts short: leave one out")
 
 
 def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]]:

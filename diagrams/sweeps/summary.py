@@ -1,7 +1,5 @@
 """Statistics of a sweep: rates with intervals, delays, failure kinds, paired comparisons, and the table of them."""
 
-from __future__ import annotations
-
 import collections
 import itertools
 from collections.abc import Iterator
@@ -20,6 +18,8 @@ MEASURES = {
     "as_paper": ("paper_switch_success", "switch_failure"),
 }
 
+DELAYS = ("detection_delay_s", "return_s", "resume_s")
+
 
 def rate(successes: np.ndarray, training_seeds: np.ndarray) -> dict[str, Any]:
     """Of (n,) bool and (n,) int: n, successes, rate, Wilson 95 % interval; mean and deviation over training seeds.
@@ -30,14 +30,15 @@ def rate(successes: np.ndarray, training_seeds: np.ndarray) -> dict[str, Any]:
     n, count = len(successes), int(np.sum(successes))
     interval = binomtest(count, n).proportion_ci(method="wilson")
     by_seed = {str(seed): float(np.mean(successes[training_seeds == seed])) for seed in np.unique(training_seeds)}
+    means = list(by_seed.values())
     return {
         "n": n,
         "successes": count,
         "rate": count / n,
         "interval": [float(interval.low), float(interval.high)],
         "by_training_seed": by_seed,
-        "mean": float(np.mean(list(by_seed.values()))),
-        "deviation": float(np.std(list(by_seed.values()))),
+        "mean": float(np.mean(means)),
+        "deviation": float(np.std(means)),
     }
 
 
@@ -56,23 +57,17 @@ def measures(rows: pd.DataFrame) -> dict[str, tuple[str, str]]:
 
 def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """One entry a controller (over its training seeds) and disturbance; `rows`: a table (see table.py)."""
-    measured = measures(rows)
-    return [
-        labels
-        | {"errors": int(cell["error"].notna().sum())}
-        | {
-            measure: rate(cell[flag].to_numpy(bool), cell["training_seed"].to_numpy())
-            | {"failures": dict(collections.Counter(cell[kind][~cell[flag].astype(bool)].dropna()).most_common())}
-            for measure, (flag, kind) in measured.items()
-        }
+    found, measured = [], measures(rows)
+    for labels, cell in _groups(rows, CELL):
+        entry = labels | {"errors": int(cell["error"].notna().sum())}
+        for measure, (flag, kind) in measured.items():
+            failures = collections.Counter(cell[kind][~cell[flag].astype(bool)].dropna())
+            entry[measure] = rate(cell[flag].to_numpy(bool), cell["training_seed"].to_numpy())
+            entry[measure]["failures"] = dict(failures.most_common())
         # A false alarm that is under way at the onset would count as noticed at once.
-        | {
-            name: spread(cell[name][cell["false_switches"] == 0])
-            for name in ("detection_delay_s", "return_s", "resume_s")
-        }
-        | {name: spread(cell[name]) for name in ("sim_seconds", "realtime_factor")}
-        for labels, cell in _groups(rows, CELL)
-    ]
+        entry |= {name: spread(cell[name][cell["false_switches"] == 0]) for name in DELAYS}
+        found.append(entry | {name: spread(cell[name]) for name in ("sim_seconds", "realtime_factor")})
+    return found
 
 
 def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
@@ -87,10 +82,10 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
         for (rnn_a, detector_a, a), (rnn_b, detector_b, b) in itertools.combinations(controllers, 2):
             pairs = a.merge(b, on=["training_seed", "seed"], suffixes=("_a", "_b"))
             for measure, (flag, _) in measured.items():
-                first, second = (pairs[f"{flag}_{side}"].to_numpy(bool) for side in "ab")
-                more = (pairs[f"{flag}_a"].astype(int) - pairs[f"{flag}_b"].astype(int)).groupby(pairs["seed"]).sum()
-                only_a, only_b = int(np.sum(first & ~second)), int(np.sum(second & ~first))
-                scenes_a, scenes_b = int((more > 0).sum()), int((more < 0).sum())
+                more = pairs[f"{flag}_a"].astype(int) - pairs[f"{flag}_b"].astype(int)
+                more_on_scene = more.groupby(pairs["seed"]).sum()
+                only_a, only_b = int((more > 0).sum()), int((more < 0).sum())
+                scenes_a, scenes_b = int((more_on_scene > 0).sum()), int((more_on_scene < 0).sum())
                 found.append(
                     labels
                     | {

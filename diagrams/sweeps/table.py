@@ -1,28 +1,22 @@
 """The table of a sweep, a row an episode: written when all rows are there, read together with those of other sweeps."""
 
-from __future__ import annotations
-
-import dataclasses
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, get_args, get_type_hints
 
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from diagrams.episodes.episode import Outcome
 from models.errors import InputError
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 TABLE = "episodes.parquet"
 _TYPES = {
-    "int": pa.int64(),
-    "float": pa.float64(),
-    "bool": pa.bool_(),
-    "str": pa.string(),
-    "tuple[float, float]": pa.list_(pa.float64()),
+    int: pa.int64(),
+    float: pa.float64(),
+    bool: pa.bool_(),
+    str: pa.string(),
+    tuple[float, float]: pa.list_(pa.float64()),
 }
 # Beside the fields of an Outcome; error_peak_*: the detector's largest error before the onset, and from there to the
 # end of the disturbance + 5 ticks.
@@ -36,11 +30,9 @@ _OWN = {
     "error": pa.string(),
     "traceback": pa.string(),  # of the error
 }
-SCHEMA = pa.schema(
-    {field.name: _TYPES[str(field.type).removesuffix(" | None")] for field in dataclasses.fields(Outcome)} | _OWN
-)
-# What differs from run to run; all other columns are the same for the same weights and seeds.
-TIMES = ("wall_seconds", "realtime_factor")
+# Of a type such as float | None the first is what the column holds.
+_OUTCOME = {name: _TYPES.get(kind) or _TYPES[get_args(kind)[0]] for name, kind in get_type_hints(Outcome).items()}
+SCHEMA = pa.schema(_OUTCOME | _OWN)
 _EPISODE = ["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]
 
 
@@ -49,7 +41,7 @@ def write_table(folder: Path, rows: list[dict[str, Any]]) -> Path:
     path = folder / TABLE
     partial = path.with_suffix(".partial")
     pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial)
-    os.replace(partial, path)
+    partial.replace(path)
     return path
 
 
@@ -59,8 +51,6 @@ def read_tables(folders: list[Path]) -> pd.DataFrame:
     Raises InputError for a folder without a table, one that is damaged or was written by another version, and an
     episode that two of them have.
     """
-    import pandas as pd
-
     tables = []
     for folder in folders:
         path = folder / TABLE

@@ -1,19 +1,16 @@
 """What a worker of a sweep does: one episode in, one row out, whatever happens in it."""
 
-from __future__ import annotations
-
 import dataclasses
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from diagrams.episodes.calibration import Calibration, Controller, policy_name
 from diagrams.episodes.fingerprint import code_hash
-from diagrams.episodes.record import save_record, stretches
+from diagrams.episodes.record import record_bytes, stretches
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
@@ -67,12 +64,9 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
                 "update it, then --retry-errors"
             )
         controller = Controller(folder / policy_name(task.rnn, task.training_seed), task.detector, task.calibration)
-        outcome, record = run_episode(
-            Job(
-                task.world, folder / ENCODER, controller, task.seed, task.disturbance,
-                until=task.until, pictures=task.keep_record,
-            )
-        )  # fmt: skip
+        until, pictures = task.until, task.keep_record
+        job = Job(task.world, folder / ENCODER, controller, task.seed, task.disturbance, until=until, pictures=pictures)
+        outcome, record = run_episode(job)
         if outcome.weights_hash != task.weights_hash:
             raise InputError(f"{controller.policy} was changed under the sweep: put it back, then --retry-errors")
         before, after = stretches(record)
@@ -85,10 +79,7 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
             "traceback": None,
         }
         if task.keep_record:
-            with TemporaryDirectory() as scratch:
-                path = Path(scratch) / "record.npz"
-                save_record(path, record, outcome)
-                row[RECORD] = path.read_bytes()
+            row[RECORD] = record_bytes(record, outcome)
     except (Exception, SystemExit) as error:  # Drake calls exit for some of its errors
         return error_row(task, error)
     return row

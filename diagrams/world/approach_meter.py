@@ -1,12 +1,12 @@
 """ApproachMeter: where the cans are, and how near the hand or the held can is to its goal."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from diagrams.world.names import CANS
 
 
 class ApproachMeter(LeafSystem):
@@ -21,8 +21,7 @@ class ApproachMeter(LeafSystem):
         - can_poses
         - approach_distance
 
-    - `body_poses`: RigidTransform X_WB of every body of the plant, by its BodyIndex, m, world: the plant's port of that
-      name.
+    - `body_poses`: the plant's port of that name.
     - `can_poses` (14): quaternion wxyz and position (m, world) of the can to pick, then of the can on the shelf.
     - `approach_distance` (1), m: for subtask 1 from the grasp frame to the centre of the can to pick, for subtask 2
       from that can to its place on the shelf. Which one is a parameter of the Context (`set_subtask`), as is the place
@@ -31,13 +30,9 @@ class ApproachMeter(LeafSystem):
 
     def __init__(self, plant: MultibodyPlant):
         super().__init__()
-        self._cans = [
-            plant.GetBodyByName("can", plant.GetModelInstanceByName(name)).index()
-            for name in ("can_to_pick", "can_on_shelf")
-        ]
+        self._cans = [int(plant.GetBodyByName("can", plant.GetModelInstanceByName(name)).index()) for name in CANS]
         grasp = plant.GetFrameByName("grasp")
-        self._palm = grasp.body().index()
-        self._X_PG = grasp.GetFixedPoseInBodyFrame()
+        self._palm, self._X_PG = int(grasp.body().index()), grasp.GetFixedPoseInBodyFrame()
         self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self._subtask = self.DeclareNumericParameter(BasicVector([1.0]))
         self._place = self.DeclareNumericParameter(BasicVector(np.zeros(3)))
@@ -53,16 +48,14 @@ class ApproachMeter(LeafSystem):
         context.get_mutable_numeric_parameter(self._place).SetFromVector(place)
 
     def _calc_can_poses(self, context, output) -> None:
-        poses = [self._poses.Eval(context)[int(body)] for body in self._cans]
-        output.SetFromVector(
-            np.concatenate([[*X_WC.rotation().ToQuaternion().wxyz(), *X_WC.translation()] for X_WC in poses])
-        )
+        poses = [self._poses.Eval(context)[body] for body in self._cans]
+        output.SetFromVector(np.hstack([[*X.rotation().ToQuaternion().wxyz(), *X.translation()] for X in poses]))
 
     def _calc_distance(self, context, output) -> None:
         poses = self._poses.Eval(context)
-        can = poses[int(self._cans[0])].translation()
+        can = poses[self._cans[0]].translation()
         if context.get_numeric_parameter(self._subtask)[0] < 1.5:
-            goal = poses[int(self._palm)].multiply(self._X_PG.translation())
+            goal = poses[self._palm].multiply(self._X_PG.translation())
         else:
             goal = context.get_numeric_parameter(self._place).value()
         output.SetAtIndex(0, float(np.linalg.norm(goal - can)))

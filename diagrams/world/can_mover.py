@@ -1,7 +1,5 @@
 """CanMover: takes the can out of the hand, once, in the middle of a tick, and puts it elsewhere on the desk."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -33,8 +31,7 @@ class CanMover(LeafSystem):
 
     def set_place(self, context: Context, place: list[float] | None) -> None:
         """Where the can is put (2, m, world), in this system's Context; None: it stays."""
-        place = [math.nan, math.nan] if place is None else place
-        context.get_mutable_numeric_parameter(self._place).SetFromVector(place)
+        context.get_mutable_numeric_parameter(self._place).SetFromVector([math.nan] * 2 if place is None else place)
 
     def moved(self, root: Context) -> bool:
         """Whether the can was moved."""

@@ -1,16 +1,13 @@
 """CollisionChecker: does a straight joint motion of the arm, with or without the can in its hand, touch the scene?"""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from diagrams.world.names import CAN_HALF_HEIGHT, CANS, other_spot
-from diagrams.world.station import add_models, spot_centre
+from diagrams.world.station import add_models, can_body, spot_centre
 
-MOVING = ("arm", "gripper")
 LEAST_SAMPLES = 24  # of a path
 SPACING = np.deg2rad(1.0)  # of the joint that moves most, between two samples
 
@@ -29,24 +26,21 @@ class CollisionChecker:
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
         self._query = lambda: scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(self._context))
         self._inspector = scene_graph.model_inspector()
-        self._gap = gap
-        self._arm = self._plant.GetModelInstanceByName("arm")
+        self._gap, self._arm = gap, self._plant.GetModelInstanceByName("arm")
 
     def _owner(self, geometry) -> str:
         body = self._plant.GetBodyFromFrameId(self._inspector.GetFrameId(geometry))
         return self._plant.GetModelInstanceName(body.model_instance())
 
-    def _can(self, name: str):
-        return self._plant.GetBodyByName("can", self._plant.GetModelInstanceByName(name))
+    def _place(self, can: str, X_WC: RigidTransform) -> None:
+        self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, can_body(self._plant, can), X_WC)
 
     def set_scene(self, can_xy: np.ndarray | tuple[float, float] | None, vacant: str) -> None:
         """Where the cans stand; `can_xy` (2, m, world) or None: the can is in the hand."""
         self._held = can_xy is None
-        pose = RigidTransform(self.spot(other_spot(vacant)))
-        self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, self._can(CANS[1]), pose)
+        self._place(CANS[1], RigidTransform(self.spot(other_spot(vacant))))
         if can_xy is not None:
-            pose = RigidTransform([*can_xy, CAN_HALF_HEIGHT])
-            self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, self._can(CANS[0]), pose)
+            self._place(CANS[0], RigidTransform([*can_xy, CAN_HALF_HEIGHT]))
 
     def spot(self, name: str) -> np.ndarray:
         """See `spot_centre`."""
@@ -55,15 +49,13 @@ class CollisionChecker:
     def first_touch(self, joints: np.ndarray) -> str | None:
         """Name of a model that the arm at `joints` (7, rad), or the can that it holds, touches; None if clear."""
         self._plant.SetPositions(self._plant_context, self._arm, joints)
-        moving: tuple[str, ...] = MOVING
+        moving = {"arm", "gripper"}
         if self._held:
             X_WG = self._plant.GetFrameByName("grasp").CalcPoseInWorld(self._plant_context)
             # The hand holds the can a little above its middle, upright when the hand leans as in the demonstrations.
             upright = X_WG.multiply(RigidTransform(-X_WG.rotation().inverse().multiply(np.array([0, 0, 0.010]))))
-            self._plant.SetFloatingBaseBodyPoseInWorldFrame(
-                self._plant_context, self._can(CANS[0]), RigidTransform(X_WG.rotation(), upright.translation())
-            )
-            moving = (*MOVING, CANS[0])
+            self._place(CANS[0], RigidTransform(X_WG.rotation(), upright.translation()))
+            moving.add(CANS[0])
         for pair in self._query().ComputeSignedDistancePairwiseClosestPoints(self._gap):
             a, b = self._owner(pair.id_A), self._owner(pair.id_B)
             if (a in moving) != (b in moving):

@@ -4,15 +4,20 @@ Units: m, rad, s, N m unless a field's comment says otherwise; positions in the 
 the arm's axis, x ahead of the arm, y to its left, z up).
 """
 
-# No `from __future__ import annotations` here: Drake reads the types of the fields.
 import math
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 import numpy as np
 
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
 from systems.arguments import require_count, require_positive, require_vector
+
+POSITIVE = (
+    "timing.time_step", "timing.period", "servo.finger_stiffness", "servo.finger_damping", "grid.spacing",
+    "regulator.state_weight", "regulator.input_weight",
+)  # fmt: skip
 
 
 @dataclass
@@ -62,9 +67,8 @@ class Grid:
 
     def training_positions(self) -> np.ndarray:
         """(50, 2) world x, y of the trained positions, m."""
-        return np.array(
-            [self.position(i, j) for i in range(self.count) for j in range(self.count) if self.is_training(i, j)]
-        )
+        side = range(self.count)
+        return np.array([self.position(i, j) for i in side for j in side if self.is_training(i, j)])
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -102,37 +106,26 @@ class World:
 
     def check(self) -> None:
         """Raises InputError for a value that makes no world."""
-        timing, servo, camera, grid = self.timing, self.servo, self.camera, self.grid
         try:
-            require_positive("world.timing.time_step", timing.time_step)
-            require_positive("world.timing.period", timing.period)
-            require_vector("world.servo.stiffness", servo.stiffness, ARM_JOINTS, minimum=0.0)
-            require_vector("world.servo.damping", servo.damping, ARM_JOINTS, minimum=0.0)
-            require_positive("world.servo.finger_stiffness", servo.finger_stiffness)
-            require_positive("world.servo.finger_damping", servo.finger_damping)
-            require_count("world.camera.width", camera.width, 112)
-            require_count("world.camera.height", camera.height, 112)
-            require_vector("world.grid.corner", grid.corner, 2)
-            require_positive("world.grid.spacing", grid.spacing)
-            require_count("world.grid.count", grid.count, 2)
-            require_positive("world.regulator.state_weight", self.regulator.state_weight)
-            require_positive("world.regulator.input_weight", self.regulator.input_weight)
+            for name in POSITIVE:
+                require_positive(f"world.{name}", attrgetter(name)(self))
+            for name, least in (("camera.width", 112), ("camera.height", 112), ("grid.count", 2)):
+                require_count(f"world.{name}", attrgetter(name)(self), least)
+            require_vector("world.servo.stiffness", self.servo.stiffness, ARM_JOINTS, minimum=0.0)
+            require_vector("world.servo.damping", self.servo.damping, ARM_JOINTS, minimum=0.0)
+            require_vector("world.grid.corner", self.grid.corner, 2)
             require_vector("world.initial_joints_deg", self.initial_joints_deg, ARM_JOINTS)
         except ValueError as error:
             raise InputError(str(error)) from error
-        off = abs(math.remainder(timing.period, timing.time_step))
-        if timing.period < timing.time_step or off > 1e-6 * timing.time_step:
+        period, step, angle = self.timing.period, self.timing.time_step, self.camera.field_of_view_deg
+        if period < step or abs(math.remainder(period, step)) > 1e-6 * step:
+            raise InputError(f"world.timing.period {period} s is no multiple of time_step {step} s: change one of them")
+        if not 0.0 < angle < 180.0:
             raise InputError(
-                f"world.timing.period {timing.period} s is no multiple of time_step {timing.time_step} s: change one "
-                "of them"
-            )
-        if not 0.0 < camera.field_of_view_deg < 180.0:
-            raise InputError(
-                f"world.camera.field_of_view_deg {camera.field_of_view_deg} is no angle of view: choose more than 0, "
-                "less than 180"
+                f"world.camera.field_of_view_deg {angle} is no angle of view: choose more than 0, below 180"
             )
         if not 0.0 <= self.closed_opening < self.opening < math.inf:
             raise InputError(
-                f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: choose 0 <= "
-                "closed_opening < opening"
+                f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: "
+                "choose 0 <= closed_opening < opening"
             )

@@ -1,6 +1,5 @@
 """The one type for a disturbance: in a scenario file, as sampled, in an episode, and as it is searched for."""
 
-# No `from __future__ import annotations` here: Drake reads the types of the fields.
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,16 +41,11 @@ class Disturbance(DisturbanceParameters):
             raise InputError(f"disturbance.hold_ticks {self.hold_ticks} is too short: choose 1 or more (A: 0 or more)")
         wanted = ARM_JOINTS if self.kind == "A" else 0
         if len(self.target or []) != wanted or not np.all(np.isfinite(self.target or [])):
-            raise InputError(
-                f"disturbance.target {self.target} does not fit disturbance {self.kind}: give {wanted} joint angles in "
-                "rad"
-            )
-        if self.can_moved_to is not None:
-            self._check_can()
-
-    def _check_can(self) -> None:
-        moved = self.can_moved_to
-        if moved is None or len(moved) != 2 or not np.all(np.isfinite(moved)):
+            words = f"does not fit disturbance {self.kind}: give {wanted} joint angles in rad"
+            raise InputError(f"disturbance.target {self.target} {words}")
+        if (moved := self.can_moved_to) is None:
+            return
+        if len(moved) != 2 or not np.all(np.isfinite(moved)):
             raise InputError(f"disturbance.can_moved_to {moved} is not two numbers: give x and y in metres")
         if self.kind != "B" or self.subtask != 2 or self.hold_ticks < CAN_TAKEN_TICKS:
             raise InputError(

@@ -1,7 +1,5 @@
 """Inverse kinematics of the hand, by Drake's InverseKinematics on the arm alone."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.math import RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
@@ -11,9 +9,7 @@ from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import arm_plant
 from models.errors import InputError
 
-# The hand points down, leaning outwards by 5 deg: nearly vertical leaves 9 deg to every joint limit over the whole
-# grid.
-TILT_DEG = 85.0
+TILT_DEG = 85.0  # down, leaning outwards by 5: leaves 9 deg to every joint limit over the whole grid
 
 
 class HandKinematics:
@@ -27,8 +23,7 @@ class HandKinematics:
         self.upper = self._plant.GetPositionUpperLimits()[:ARM_JOINTS]
 
     def solve_ik(self, position: np.ndarray) -> np.ndarray:
-        """(7,) joint angles, rad, with the grasp frame at `position` (3, m, world), fingers level and opening across
-        the arm's direction.
+        """(7,) joint angles, rad: grasp frame at `position` (3, m, world), fingers level, across the arm's direction.
 
         Raises InputError where no posture within the joint limits reaches.
         """
@@ -36,19 +31,20 @@ class HandKinematics:
         z = np.array([np.cos(tilt) * np.cos(yaw), np.cos(tilt) * np.sin(yaw), -np.sin(tilt)])
         x = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
         R_WG = RotationMatrix(np.column_stack([x, np.cross(z, x), z]))
-        ik = InverseKinematics(self._plant)
-        grasp = self._plant.GetFrameByName("grasp")
-        ik.AddPositionConstraint(grasp, np.zeros(3), self._plant.world_frame(), position, position)
-        ik.AddOrientationConstraint(self._plant.world_frame(), R_WG, grasp, RotationMatrix(), 1e-3)
+        ik, world, grasp = (
+            InverseKinematics(self._plant),
+            self._plant.world_frame(),
+            self._plant.GetFrameByName("grasp"),
+        )
+        ik.AddPositionConstraint(grasp, np.zeros(3), world, position, position)
+        ik.AddOrientationConstraint(world, R_WG, grasp, RotationMatrix(), 1e-3)
         program = ik.prog()
         program.AddQuadraticErrorCost(np.eye(ARM_JOINTS + 2), self._preferred, ik.q())
         program.AddBoundingBoxConstraint(0.0, 0.0, ik.q()[ARM_JOINTS:])
         result = Solve(program, self._preferred)
         if not result.is_success():
-            raise InputError(
-                f"the hand cannot reach {np.round(position, 3).tolist()} m: choose a place on the desk nearer to the "
-                "trained area"
-            )
+            where = np.round(position, 3).tolist()
+            raise InputError(f"the hand cannot reach {where} m: choose a place on the desk nearer to the trained area")
         return result.GetSolution(ik.q())[:ARM_JOINTS]
 
     def margin(self, joints: np.ndarray) -> float:

@@ -1,6 +1,5 @@
 """One episode and its world, as a scenario file holds them (YAML over the defaults)."""
 
-# No `from __future__ import annotations` here: Drake reads the types of the fields.
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -47,11 +46,8 @@ def load_scenario(path: Path) -> Scenario:
     try:
         return yaml_load_typed(schema=Scenario, filename=str(path), defaults=Scenario())
     except Exception as error:  # the loader raises many types, each with its own words for what does not fit
-        reason = " ".join(str(error).split())
-        raise InputError(
-            f"the scenario file {path} does not fit: {reason}; its keys are those of Scenario in "
-            "diagrams/world/scenario.py"
-        ) from error
+        reason, keys = " ".join(str(error).split()), "its keys are those of Scenario in diagrams/world/scenario.py"
+        raise InputError(f"the scenario file {path} does not fit: {reason}; {keys}") from error
 
 
 def load_world(path: Path | None) -> World:
@@ -62,10 +58,7 @@ def load_world(path: Path | None) -> World:
 
 
 def save_scenario(path: Path, scenario: Scenario, comments: list[str] | None = None) -> None:
-    """Writes what differs from the defaults to the YAML file `path`, below `comments`.
-
-    `load_scenario` reads the same bits.
-    """
+    """Writes what differs from the defaults to `path` (YAML), below `comments`; load_scenario reads the same bits."""
     from pydrake.common.yaml import yaml_dump_typed
 
     text = yaml_dump_typed(scenario, defaults=Scenario())

@@ -1,7 +1,5 @@
 """PickPlaceStation: the arm, the desk, the shelf, the cans and the camera as one Diagram."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys
@@ -22,7 +20,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, MultibodyPlantConfig
-from pydrake.multibody.tree import PdControllerGains
+from pydrake.multibody.tree import PdControllerGains, RigidBody
 from pydrake.systems.controllers import InverseDynamics
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import MatrixGain, Multiplexer
@@ -40,31 +38,25 @@ FILM = (960, 720, 42.0)  # width, height (pixels) and vertical field of view (de
 
 
 def add_models(plant: MultibodyPlant, names: tuple[str, ...] | None = None) -> None:
-    """Adds the models of sdf/pick_place.dmd.yaml to `plant`.
-
-    With `names`, only the directives that speak of those models.
-    """
+    """Adds the models of sdf/pick_place.dmd.yaml to `plant`; with `names`, only those, and their welds."""
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
     directives = LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml"))
     if names is not None:
-        directives.directives = [d for d in directives.directives if _speaks_only_of(d, names)]
+        directives.directives = [
+            d for d in directives.directives
+            if (d.add_model and d.add_model.name in names) or (d.add_weld and d.add_weld.child.split("::")[0] in names)
+        ]  # fmt: skip
     ProcessModelDirectives(directives, parser)
 
 
-def _speaks_only_of(directive, names: tuple[str, ...]) -> bool:
-    if directive.add_model:
-        return directive.add_model.name in names
-    if directive.add_weld:
-        return directive.add_weld.child.split("::")[0] in names
-    return False
+def can_body(plant: MultibodyPlant, name: str) -> RigidBody:
+    """The body of the can `name` (see CANS) in `plant`."""
+    return plant.GetBodyByName("can", plant.GetModelInstanceByName(name))
 
 
 def arm_plant() -> MultibodyPlant:
-    """The arm with its gripper alone, finalized, continuous: for kinematics and gravity.
-
-    Positions: 7 joints, left and right finger.
-    """
+    """The arm and its gripper alone, continuous: for kinematics and gravity. Positions: 7 joints, 2 fingers."""
     plant = MultibodyPlant(0.0)
     add_models(plant, ("arm", "gripper"))
     plant.Finalize()
@@ -72,10 +64,7 @@ def arm_plant() -> MultibodyPlant:
 
 
 def _require_egl_device() -> None:
-    """Raises RuntimeError where EGL has no device to render on.
-
-    Drake would notice at the first picture only, and die of it.
-    """
+    """Raises RuntimeError where EGL has no device to render on: Drake would die of it at the first picture."""
     try:
         egl = ctypes.CDLL("libEGL.so.1")
     except OSError:  # Drake looks under another name too, and raises where there is none
@@ -111,7 +100,7 @@ class PickPlaceStation(Diagram):
     - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m (the measured one stalls on
       the can).
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
-    - `can_poses` (14): quaternion wxyz and position (m, world) of the can to pick, then of the one on the shelf.
+    - `can_poses` (14): see ApproachMeter.
     - `approach_distance` (1): see ApproachMeter. Truth: for scoring and disturbances, never for the controller.
     - `plant_state` (n): positions, then velocities, of the whole plant in Drake's order; rad, m, rad/s, m/s; free
       bodies in the world frame.
@@ -121,7 +110,7 @@ class PickPlaceStation(Diagram):
     """
 
     def __init__(self, world: World, camera: bool = True, film_camera: bool = False):
-        """`camera`: render for the network; `film_camera`: also a larger view for people, on a port `film_image`."""
+        """`camera`: render for the network; `film_camera`: for people too. Raises InputError without a renderer."""
         super().__init__()
         self.world = world
         builder = DiagramBuilder()
@@ -173,17 +162,15 @@ class PickPlaceStation(Diagram):
             self.plant.GetJointByName(f"{side}_finger_joint").set_default_translation(posture[-1] / 2)
         centre = np.mean(self.world.grid.bounds, axis=0)
         for can, xyz in zip(CANS, ([*centre, CAN_HALF_HEIGHT], [0.25, 0.43, 0.10]), strict=True):
-            body = self.plant.GetBodyByName("can", self.plant.GetModelInstanceByName(can))
-            self.plant.SetDefaultFloatingBaseBodyPose(body, RigidTransform(xyz))
+            self.plant.SetDefaultFloatingBaseBodyPose(can_body(self.plant, can), RigidTransform(xyz))
 
     def _wire_servo(self, builder: DiagramBuilder) -> None:
-        n = ARM_JOINTS
-        eye = np.eye(n + 1)
+        n, eye = ARM_JOINTS, np.eye(ARM_JOINTS + 1)
         opening = builder.AddNamedSystem("opening", MatrixGain(eye[n:]))
-        arm_target = builder.AddNamedSystem("arm_target", MatrixGain(np.vstack([eye[:n], np.zeros((n, n + 1))])))
-        finger_target = builder.AddNamedSystem(
-            "finger_target", MatrixGain(np.vstack([0.5 * eye[n:], np.zeros((1, n + 1))]))
-        )
+        # Desired states: positions, then velocities 0.
+        arm_state, finger_state = np.vstack([eye[:n], 0 * eye[:n]]), np.vstack([0.5 * eye[n:], 0 * eye[n:]])
+        arm_target = builder.AddNamedSystem("arm_target", MatrixGain(arm_state))
+        finger_target = builder.AddNamedSystem("finger_target", MatrixGain(finger_state))
         joints = builder.AddNamedSystem("joints", MatrixGain(np.eye(n, 2 * n)))
         posture = builder.AddNamedSystem("posture", Multiplexer([n, 1]))
         builder.ExportInput(arm_target.get_input_port(), "desired_posture")
@@ -198,21 +185,13 @@ class PickPlaceStation(Diagram):
 
     def _wire_gravity_compensation(self, builder: DiagramBuilder) -> None:
         self.arm_plant = arm_plant()
-        n, fingers = ARM_JOINTS, 2
-        compensation = builder.AddNamedSystem(
-            "gravity_compensation",
-            InverseDynamics(self.arm_plant, InverseDynamics.InverseDynamicsMode.kGravityCompensation),
-        )
-        states = builder.AddNamedSystem("arm_and_finger_states", Multiplexer([2 * n, 2 * fingers]))
-        # (q_arm, v_arm, q_fingers, v_fingers) -> (q_arm, q_fingers, v_arm, v_fingers)
-        order = [
-            *range(n),
-            *range(2 * n, 2 * n + fingers),
-            *range(n, 2 * n),
-            *range(2 * n + fingers, 2 * (n + fingers)),
-        ]
+        n, gravity = ARM_JOINTS, InverseDynamics.InverseDynamicsMode.kGravityCompensation
+        compensation = builder.AddNamedSystem("gravity_compensation", InverseDynamics(self.arm_plant, gravity))
+        states = builder.AddNamedSystem("arm_and_finger_states", Multiplexer([2 * n, 4]))
+        # (q_arm, v_arm, q_fingers, v_fingers) -> (q_arm, q_fingers, v_arm, v_fingers); there are two fingers.
+        order = np.r_[:n, 2 * n : 2 * n + 2, n : 2 * n, 2 * n + 2 : 2 * n + 4]
         reorder = builder.AddNamedSystem("state_order", MatrixGain(np.eye(len(order))[order]))
-        torque = builder.AddNamedSystem("arm_torque", MatrixGain(np.eye(n, n + fingers)))
+        torque = builder.AddNamedSystem("arm_torque", MatrixGain(np.eye(n, n + 2)))
         builder.Connect(self.plant.get_state_output_port(self.arm), states.get_input_port(0))
         builder.Connect(self.plant.get_state_output_port(self.gripper), states.get_input_port(1))
         builder.Connect(states.get_output_port(0), reorder.get_input_port())
@@ -257,56 +236,35 @@ class PickPlaceStation(Diagram):
         if film_camera:
             self._add_sensor(builder, scene, "film_camera", "film_image", *FILM)
 
-    def _add_sensor(
-        self,
-        builder: DiagramBuilder,
-        scene: SceneGraph,
-        frame_name: str,
-        port: str,
-        width: int,
-        height: int,
-        fov_deg: float,
-    ) -> None:
+    def _add_sensor(self, builder, scene, frame_name: str, port: str, width: int, height: int, fov_deg: float) -> None:
         info = CameraInfo(width=width, height=height, fov_y=np.deg2rad(fov_deg))
         core = RenderCameraCore(RENDERER, info, ClippingRange(0.1, 5.0), RigidTransform())
+        colour, depth = ColorRenderCamera(core), DepthRenderCamera(core, DepthRange(0.2, 4.0))
         frame = self.scene_plant.GetFrameByName(frame_name)
-        sensor = builder.AddNamedSystem(
-            frame_name,
-            RgbdSensor(
-                self.scene_plant.GetBodyFrameIdOrThrow(frame.body().index()),
-                frame.GetFixedPoseInBodyFrame(),
-                ColorRenderCamera(core),
-                DepthRenderCamera(core, DepthRange(0.2, 4.0)),
-            ),
-        )
+        body = self.scene_plant.GetBodyFrameIdOrThrow(frame.body().index())
+        sensor = RgbdSensor(body, frame.GetFixedPoseInBodyFrame(), colour, depth)
+        builder.AddNamedSystem(frame_name, sensor)
         builder.Connect(scene.get_query_output_port(), sensor.query_object_input_port())
         builder.ExportOutput(sensor.color_image_output_port(), port)
 
     def set_scene(self, context: Context, can_xy: np.ndarray, vacant: str, turn: float = 0.0) -> None:
-        """Puts one can at `can_xy` (2, m, world) on the desk, turned about its axis by `turn` (rad), and the other on
-        the spot that is not `vacant`."""
-        plant_context = self.plant.GetMyMutableContextFromRoot(context)
+        """Puts one can on the desk, see `place_can`, and the other on the spot that is not `vacant`."""
         self.place_can(context, can_xy, turn)
-        self.plant.SetFloatingBaseBodyPoseInWorldFrame(
-            plant_context, self._can(CANS[1]), RigidTransform(self.spot(other_spot(vacant)))
-        )
+        X_WC = RigidTransform(self.spot(other_spot(vacant)))
+        plant_context = self.plant.GetMyMutableContextFromRoot(context)
+        self.plant.SetFloatingBaseBodyPoseInWorldFrame(plant_context, can_body(self.plant, CANS[1]), X_WC)
         self.approach_meter.set_place(self.approach_meter.GetMyMutableContextFromRoot(context), self.spot(vacant))
 
     def place_can(self, context: Context, can_xy: np.ndarray, turn: float = 0.0) -> None:
-        """Stands the can to pick, at rest, on the desk at `can_xy` (2, m, world)."""
-        plant_context = self.plant.GetMyMutableContextFromRoot(context)
-        body = self._can(CANS[0])
-        self.plant.SetFloatingBaseBodyPoseInWorldFrame(
-            plant_context, body, RigidTransform(RollPitchYaw(0, 0, turn), [*can_xy, CAN_HALF_HEIGHT])
-        )
+        """Stands the can to pick, at rest, on the desk at `can_xy` (2, m, world), its axis turned by `turn` (rad)."""
+        plant_context, body = self.plant.GetMyMutableContextFromRoot(context), can_body(self.plant, CANS[0])
+        X_WC = RigidTransform(RollPitchYaw(0, 0, turn), [*can_xy, CAN_HALF_HEIGHT])
+        self.plant.SetFloatingBaseBodyPoseInWorldFrame(plant_context, body, X_WC)
         self.plant.SetFreeBodySpatialVelocity(context=plant_context, body=body, V_JpJc=SpatialVelocity(np.zeros(6)))
 
     def spot(self, name: str) -> np.ndarray:
         """See `spot_centre`."""
         return spot_centre(self.plant, name)
-
-    def _can(self, name: str):
-        return self.plant.GetBodyByName("can", self.plant.GetModelInstanceByName(name))
 
 
 def spot_centre(plant: MultibodyPlant, name: str) -> np.ndarray:

@@ -5,8 +5,6 @@ posture; within 60 s plus the time disturbed. Time disturbed is from the onset t
 arm again (alpha <= 0.1 at the initial posture); without that, the disturbance alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,12 +75,8 @@ class TaskMonitor:
 
     def success(self, can_poses: np.ndarray, posture: np.ndarray) -> bool:
         """The whole task is done; one tick's values."""
-        return bool(
-            self.released(posture)
-            and self.placed(can_poses)
-            and self.neighbour_untouched(can_poses)
-            and self.home(posture)
-        )
+        done = self.released(posture) and self.placed(can_poses) and self.neighbour_untouched(can_poses)
+        return bool(done and self.home(posture))
 
     def failure(self, can_poses: np.ndarray, posture: np.ndarray) -> str:
         """The kind of a failed task, by the rows of a whole run: (n, 14), (n, 8)."""

@@ -1,7 +1,5 @@
 """The scripted teacher: one demonstration of both subtasks in physics, for one grid position and one vacant spot."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

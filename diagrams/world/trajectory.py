@@ -1,8 +1,6 @@
 """The teacher's motion: where the hand is when, for both subtasks, as one smooth joint trajectory."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
@@ -26,8 +24,7 @@ DEVIATION_KNOTS = 10  # ticks
 RELEASE_GAP = 0.004
 
 
-@dataclass(frozen=True)
-class Waypoint:
+class Waypoint(NamedTuple):
     """At `tick` of the subtask the hand is at `joints` (7, rad); from then on the fingers go to `opening` (m)."""
 
     tick: int
@@ -46,21 +43,17 @@ def subtask_waypoints(world: World, hand: HandKinematics, centre: np.ndarray, su
     coming, going = (world.opening, world.closed_opening) if subtask == 1 else (world.closed_opening, world.opening)
     joints = [home if height is None else hand.solve_ik(grasp + [0, 0, height]) for height in heights]
     openings = [coming] * FINGERS_MOVE + [going] * (len(joints) - FINGERS_MOVE)
-    return [Waypoint(*given) for given in zip(TICKS[subtask - 1], joints, openings, strict=True)]
+    return list(map(Waypoint, TICKS[subtask - 1], joints, openings))
 
 
 def commands(waypoints: list[Waypoint], steps: int) -> np.ndarray:
     """(steps, 8) the posture commanded at each tick for the next one: joint angles (rad) and opening (m)."""
-    ticks = np.array([w.tick for w in waypoints], dtype=float)
+    ticks, joints, openings = map(np.array, zip(*waypoints, strict=True))
     # Shape-preserving: no overshoot at the grasp, and no stop at the waypoints between.
-    path = PiecewisePolynomial.CubicShapePreserving(
-        ticks, np.array([w.joints for w in waypoints]).T, zero_end_point_derivatives=True
-    )
-    rows = np.empty((steps, ARM_JOINTS + 1))
-    for k in range(steps):
-        rows[k, :ARM_JOINTS] = path.value(min(k + 1, ticks[-1]))[:, 0]
-        rows[k, -1] = next(w.opening for w in reversed(waypoints) if w.tick <= k)
-    return rows
+    path = PiecewisePolynomial.CubicShapePreserving(ticks.astype(float), joints.T, zero_end_point_derivatives=True)
+    k = np.arange(steps)
+    opening = openings[np.searchsorted(ticks, k, side="right") - 1]
+    return np.column_stack([path.vector_values(np.minimum(k + 1.0, ticks[-1])).T, opening])
 
 
 def subtask_commands(world: World, hand: HandKinematics, centre: np.ndarray, subtask: int) -> np.ndarray:
@@ -75,17 +68,13 @@ def deviations(waypoints: list[Waypoint], steps: int, rng: np.random.Generator) 
     motion back to it. Smooth and bounded: free on the path, small at home, none where the fingers are near a can.
     """
     home = waypoints[0].joints
-    hover = [w.tick for w in waypoints if not np.array_equal(w.joints, home)]
-    near, far = hover[0], hover[-1]  # over the goal, coming and going
-    leave = max(w.tick for w in waypoints if w.tick < near)
-    back = min(w.tick for w in waypoints if w.tick > far)
+    away = [i for i, w in enumerate(waypoints) if not np.array_equal(w.joints, home)]
+    # Over the goal, coming and going; and the waypoints at home before and after.
+    leave, near, far, back = (waypoints[i].tick for i in (away[0] - 1, away[0], away[-1], away[-1] + 1))
+    times = [leave, 0.5 * (leave + near), near, far, 0.5 * (far + back), back]
+    sizes = [DWELL_DEVIATION, FREE_DEVIATION, 0.0]
     k = np.arange(1, steps + 1)
-    middle_in, middle_out = 0.5 * (leave + near), 0.5 * (far + back)
-    amplitude = np.interp(
-        k,
-        [leave, middle_in, near, far, middle_out, back],
-        [DWELL_DEVIATION, FREE_DEVIATION, 0.0, 0.0, FREE_DEVIATION, DWELL_DEVIATION],
-    )
+    amplitude = np.interp(k, times, sizes + sizes[::-1])
     ticks = np.arange(0.0, steps + DEVIATION_KNOTS, DEVIATION_KNOTS)
     knots = rng.uniform(-1.0, 1.0, (ARM_JOINTS, len(ticks)))
     path = PiecewisePolynomial.CubicShapePreserving(ticks, knots)

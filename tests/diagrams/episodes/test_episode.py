@@ -28,7 +28,7 @@ def run(onset=50, end=68, high=(52, 121), home=100, disturbed=True, false_alarm=
 
 def test_as_it_should():
     switching = run()
-    assert switching == Switching(50, 68, 52, 100, 121, 0, 0.02, None, as_in_paper=True, decided=True)
+    assert switching == Switching(0, 0.02, None, True, True, onset=50, end=68, detected=52, home=100, resumed=121)
     assert switching.ticks_disturbed == 71
 
 
