@@ -158,12 +158,11 @@ class Rollout:
                 rows[name].append(value)
             taken = self.can_mover.moved(self.simulator.get_context())
             narrator.see(k * period, posture, tick["alpha"], active, taken, cans)
-            switching = self._switching(episode, rows)
             success = monitor.success(cans, posture) and not active
-            if not active:
-                extra = switching.ticks_disturbed
+            if not active and any(rows["active"]):
+                extra = self._switching(episode, rows).ticks_disturbed
             if until == "switching":
-                cut = switching.decided
+                cut = self._switching(episode, rows).decided
             elif until == "detection":
                 cut = any(rows["active"][:-DETECTION_TICKS]) and not any(rows["active"][-DETECTION_TICKS:])
             k += 1

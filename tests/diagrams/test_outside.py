@@ -1,4 +1,4 @@
-"""A network and a detector of another package go through training, calibration, an episode and a sweep, by their specs."""
+"""A network and a detector of another package: training, calibration, an episode and a sweep, by their specs."""
 
 import json
 from functools import partialmethod
