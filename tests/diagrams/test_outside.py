@@ -38,7 +38,7 @@ def weights(tmp_path_factory):
         patch.setattr(validation, "run_episode", run_episode)
         data = synthetic.write(folder / "tiny.h5", grid=2, ticks=(48, 52))
         common = ["--data", str(data), "--out", str(folder / "run"), "--encoder", str(folder / "cae.safetensors")]
-        small = ["--steps", "2", "--no-progress"]
+        small = ["--steps", "2"]
         for command in (
             ["rnn", "--rnn", NETWORK, *common, *small],
             ["recall", "--policy", str(folder / "run" / "rnn-2.safetensors"), *common, *small],
