@@ -133,7 +133,7 @@ def main(cli: PickPlaceArguments) -> int:
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))
     rate = f"{outcome.realtime_factor:.1f} times real time"
     print(f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({rate})")
-    print(f"written: {', '.join(map(str, written))}")
+    print(f"written: {', '.join(str(path) for path in written if path.exists())}")
     return 0 if outcome.success else 1
 
 

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import select
 import sys
 import tempfile
 from collections.abc import Callable
@@ -24,7 +25,6 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     try:
         require_checkout()
         code = main(arguments())
-        sys.stdout.flush()
     except SystemExit as end:  # --help, and the parser's own errors
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
     except InputError as error:
@@ -35,15 +35,24 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
             raise
         code = _bad_input(f"this needs {absent.name}: pip install -e '.[{extra}]'")
     except BrokenPipeError:
-        code = 0
+        if not _reader_gone():  # another pipe than the output's
+            raise
+        code = 141  # as if ended by SIGPIPE: what was to be done is not done
     except KeyboardInterrupt:
-        print("interrupted: the same command goes on", file=sys.stderr)
+        print("interrupted", file=sys.stderr)
         code = 130
     try:
         sys.stdout.flush()
-    except BrokenPipeError:  # whoever read the output has had enough of it
+    except BrokenPipeError:  # whoever read it has had enough: what is left goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
+
+
+def _reader_gone() -> bool:
+    """Whether the output is a pipe that nobody reads any more."""
+    poll = select.poll()
+    poll.register(sys.stdout, select.POLLOUT)
+    return any(state & select.POLLERR for _, state in poll.poll(0))
 
 
 def require(*modules: str) -> None:

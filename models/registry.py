@@ -40,6 +40,9 @@ class Registry(Generic[T]):
             raise InputError(wrong) from error
         if not isinstance(getattr(entry, "name", None), str):
             raise InputError(f"the {self.what} '{spec}' has no attribute `name`: give it a short one")
+        if spec in known and entry.name != spec:
+            wrong = f"the {self.what} '{spec}' calls itself '{entry.name}': give both one name"
+            raise InputError(wrong)
         return entry
 
     def check(self, spec: str) -> None:

@@ -9,15 +9,18 @@ from diagrams.world.configuration import World
 from models.command_line import ROOT
 
 # What an episode's outcome depends on: the definitions of success among it.
-ROOMS = ("sdf", "models/networks", "models/data", "models/files", "systems", "diagrams/world", "diagrams/episodes")
+ROOMS = ("sdf", "models/inference.py", "models/networks", "models/data/scaling.py", "models/data/windows.py", "systems")
+ROOMS += ("diagrams/world", *(f"diagrams/episodes/{name}.py" for name in (
+    "calibration", "episode", "record", "rollout", "runner", "sampling", "switching",
+)))  # fmt: skip
 
 
 @functools.cache
 def code_hash(*rooms: str) -> str:
-    """SHA-256 (16 hexadecimal digits) of the sources in ROOMS and in further `rooms`, folders of the repository."""
-    total = hashlib.sha256((ROOT / "models" / "inference.py").read_bytes())
-    for room in (*ROOMS, *rooms):
-        for path in sorted((ROOT / room).rglob("*")):
+    """SHA-256 (16 hexadecimal digits) of the sources in ROOMS and in further `rooms`."""
+    total = hashlib.sha256()
+    for room in (ROOT / name for name in (*ROOMS, *rooms)):
+        for path in [room] if room.is_file() else sorted(room.rglob("*")):
             if path.suffix in (".py", ".sdf", ".yaml", ".xml"):
                 total.update(f"{path.relative_to(ROOT)}\0".encode() + path.read_bytes())
     return total.hexdigest()[:16]

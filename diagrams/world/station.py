@@ -91,8 +91,6 @@ class PickPlaceStation(Diagram):
         - rgb_image
         - can_poses
         - approach_distance
-        - plant_state
-        - contact_results
         - query_object
         - film_image
 
@@ -102,9 +100,6 @@ class PickPlaceStation(Diagram):
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
     - `can_poses` (14): see ApproachMeter.
     - `approach_distance` (1): see ApproachMeter. Truth: for scoring and disturbances, never for the controller.
-    - `plant_state` (n): positions, then velocities, of the whole plant in Drake's order; rad, m, rad/s, m/s; free
-      bodies in the world frame.
-    - `contact_results`: Drake's ContactResults of the plant: points in m and forces in N, both in the world frame.
     - `query_object`: Drake's QueryObject of the plant's scene graph, for pictures and for distances (m).
     - `film_image`: RGBA image of a camera for people, `FILM` pixels; with film_camera=True only.
     """
@@ -136,8 +131,6 @@ class PickPlaceStation(Diagram):
         builder.Connect(self.plant.get_body_poses_output_port(), self.approach_meter.GetInputPort("body_poses"))
         builder.ExportOutput(self.approach_meter.GetOutputPort("can_poses"), "can_poses")
         builder.ExportOutput(self.approach_meter.GetOutputPort("approach_distance"), "approach_distance")
-        builder.ExportOutput(self.plant.get_state_output_port(), "plant_state")
-        builder.ExportOutput(self.plant.get_contact_results_output_port(), "contact_results")
         builder.ExportOutput(self.scene_graph.get_query_output_port(), "query_object")
         builder.BuildInto(self)
         self.set_name("station")

@@ -8,6 +8,8 @@ import os
 import subprocess
 import sys
 
+import cv2
+import numpy as np
 import pytest
 
 from diagrams import pick_place
@@ -23,7 +25,6 @@ FIELDS = {  # of --json
     "detection_delay_s", "false_switches", "returned", "resumed", "switch_success", "alpha_max_before", "sim_seconds",
     "wall_seconds", "realtime_factor", "weights_hash",
 }  # fmt: skip
-PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def start(folder, *arguments, env=None):
@@ -167,9 +168,9 @@ def test_failed_task_has_code_1_and_a_whole_summary(tmp_path, untrained):
     assert (outcome["success"], outcome["picked"], outcome["switched"], outcome["home"]) == (False, False, True, True)
     assert (outcome["failure"], outcome["sim_seconds"]) == ("false switch", 60.0)
     assert "task failed (false switch): picked no, placed no, at the initial posture yes" in done.stdout
-    assert "60.0 s  time is up" in done.stdout.replace("59.9", "60.0")
+    assert "59.9 s  time is up" in done.stdout  # the last tick
     for name in ("replay.html", "timeline.png", "diagram.svg"):
-        assert (tmp_path / "outputs" / name).stat().st_size > 1000
+        assert (tmp_path / "outputs" / name).is_file()
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +210,7 @@ def test_main_job_is_done(shipped):
         assert words in done.stdout
 
 
-def test_outcome_is_that_of_the_issue(shipped):
+def test_outcome_of_the_default_run(shipped):
     outcome = outcome_of(shipped[0])
     assert set(outcome) >= FIELDS
     assert (outcome["seed"], outcome["rnn"], outcome["detector"], outcome["disturbance"]) == (0, "lstm", "recall", "A")
@@ -226,7 +227,8 @@ def test_outcome_is_that_of_the_issue(shipped):
 
 def test_pictures_are_there(shipped):
     outputs = shipped[0][0] / "outputs"
-    assert (outputs / "timeline.png").read_bytes().startswith(PNG)
+    picture = cv2.imread(str(outputs / "timeline.png"))
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100  # curves in many colours
     assert "switched_controller" in (outputs / "diagram.svg").read_text()
     page = (outputs / "replay.html").read_text()
     assert page.lstrip().startswith("<!DOCTYPE html>")

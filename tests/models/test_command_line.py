@@ -51,6 +51,19 @@ def test_an_installation_without_e_is_refused(capsys, monkeypatch, tmp_path):
     assert "pip install -e ." in capsys.readouterr().err
 
 
+def test_a_closed_pipe_is_no_success_of_what_was_not_done(tmp_path):
+    """The reader has gone before the work is done: not exit 0."""
+    script, done = tmp_path / "program.py", tmp_path / "done"
+    script.write_text(
+        "import time\nfrom pathlib import Path\nfrom models.command_line import run\n"
+        f"def main(_):\n    print('one', flush=True)\n    time.sleep(1)\n    print('two', flush=True)\n"
+        f"    Path({str(done)!r}).touch()\n    return 0\nrun(main, lambda: None)\n"
+    )
+    command = f"bash -c 'set -o pipefail; PYTHONPATH={ROOT} {sys.executable} {script} | head -n 1'"
+    ended = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr, done.exists()) == (141, "one\n", "", False)
+
+
 def test_output_into_a_closed_pipe_ends_quietly():
     code = (
         "from models.command_line import run\n"

@@ -26,13 +26,16 @@ HERE = __name__
 
 @pytest.fixture
 def registry(monkeypatch):
-    points = [EntryPoint("theirs", f"{HERE}:Theirs", "hindsight.things")]
+    points = [
+        EntryPoint("theirs", f"{HERE}:Theirs", "hindsight.things"),
+        EntryPoint("alias", f"{HERE}:Theirs", "hindsight.things"),
+    ]
     monkeypatch.setattr(registry_module, "entry_points", lambda group: [p for p in points if p.group == group])
     return Registry("thing", {"ours": f"{HERE}:Ours", "broken": "no_such_module:Class"})
 
 
 def test_names_need_no_import(registry):
-    assert list(registry) == ["ours", "broken", "theirs"]
+    assert list(registry) == ["ours", "broken", "theirs", "alias"]
     assert registry.label("broken") == "broken"
     registry.check("broken")
 
@@ -46,8 +49,9 @@ def test_by_name_by_entry_point_and_by_class(registry):
 @pytest.mark.parametrize(
     ("spec", "named"),
     [
-        ("other", "no thing 'other': choose from ours, broken, theirs, or give one as package.module:Class"),
+        ("other", "no thing 'other': choose from ours, broken, theirs, alias, or give one as package.module:Class"),
         ("broken", "cannot be loaded"),
+        ("alias", "calls itself 'theirs'"),
         (f"{HERE}:Missing", "cannot be loaded"),
         (f"{HERE}:Nameless", "has no attribute `name`"),
         (":", "cannot be loaded"),
