@@ -24,8 +24,6 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 
 TASK, RETURN = "task", "return"
-SHORT = 0.3  # s: a stay up to that is listed by where it comes
-AT_RESET = 2.0  # s before the last crossing back in which a short stay belongs to it
 
 
 @dataclass
@@ -38,40 +36,38 @@ class Modes(NetworkArguments):
 
     LEAST: ClassVar[dict[str, int]] = {"max_crossings": 0}
 
+    def run(self) -> int:
+        """Measures the automaton; returns 0 if no run shows chatter, else 1."""
+        from diagrams.drawing.automaton import save_automaton
 
-def run(arguments: Modes) -> int:
-    """Measures the automaton; returns 0 if no run shows chatter, else 1."""
-    from diagrams.drawing.automaton import save_automaton
+        world = self.world()
+        paths = find_records(self.records) or [self._run_episode(world)]
+        runs = [mode_sequence(*load_record(path), path.stem, world.initial_posture) for path in paths]
+        found = report(runs, self.max_crossings)
+        self.write("modes", found)
+        save_automaton(found, self.out / "modes.png")
+        print(
+            f"{len(runs)} runs, {found['transitions']['task->return']} switches to the LQR; at most "
+            f"{found['max_crossings_per_second']} crossings in a second (limit {self.max_crossings})"
+        )
+        for mode, dwell in found["dwell_seconds"].items():
+            if dwell["count"]:
+                print(f"dwell in {mode}: {dwell['min']:.1f} to {dwell['max']:.1f} s, median {dwell['median']:.1f} s")
+        return 1 if found["zeno_like"] else 0
 
-    world = arguments.world()
-    paths = find_records(arguments.records) or [_run_episode(arguments, world)]
-    runs = [mode_sequence(*load_record(path), path.stem, world.initial_posture) for path in paths]
-    found = report(runs, arguments.max_crossings)
-    arguments.write("modes", found)
-    save_automaton(found, arguments.out / "modes.png")
-    print(
-        f"{len(runs)} runs, {found['transitions']['task->return']} switches to the LQR; at most "
-        f"{found['max_crossings_per_second']} crossings in a second (limit {arguments.max_crossings})"
-    )
-    for mode, dwell in found["dwell_seconds"].items():
-        if dwell["count"]:
-            print(f"dwell in {mode}: {dwell['min']:.1f} to {dwell['max']:.1f} s, median {dwell['median']:.1f} s")
-    return 1 if found["zeno_like"] else 0
+    def _run_episode(self, world: World) -> Path:
+        """Path of the record of the episode that was run."""
+        from tqdm import tqdm
 
+        from diagrams.episodes.sampling import EpisodeSampler
 
-def _run_episode(arguments: Modes, world: World) -> Path:
-    """Path of the record of the episode that was run."""
-    from tqdm import tqdm
-
-    from diagrams.episodes.sampling import EpisodeSampler
-
-    rollout = arguments.rollout(world)
-    episode = EpisodeSampler(world).sample(arguments.seed, arguments.disturbance, rnn=rollout.policy.name)
-    with tqdm(desc="run", unit="tick", leave=False, disable=None) as bar:
-        outcome, record = rollout.run(episode, on_tick=lambda _: bar.update(), pictures=True)
-    path = arguments.out / f"run-{rollout.policy.name}-{arguments.disturbance}-{arguments.seed}.npz"
-    save_record(path, record, outcome)
-    return path
+        rollout = self.rollout(world)
+        episode = EpisodeSampler(world).sample(self.seed, self.disturbance, rnn=rollout.policy.name)
+        with tqdm(desc="run", unit="tick", leave=False, disable=None) as bar:
+            outcome, record = rollout.run(episode, on_tick=lambda _: bar.update(), pictures=True)
+        path = self.out / f"run-{rollout.policy.name}-{self.disturbance}-{self.seed}.npz"
+        save_record(path, record, outcome)
+        return path
 
 
 @dataclass(frozen=True)
@@ -142,12 +138,7 @@ def most_within(times: list[float], span: float) -> int:
 
 
 def mode_sequence(record: Record, outcome: dict, name: str, initial_posture: np.ndarray) -> ModeSequence:
-    """The modes of the run `record` with the `outcome` that goes with it (see Outcome).
-
-    Args:
-        name: of the run, for the report.
-        initial_posture: (8,) rad and m.
-    """
+    """The modes of the run `name`, of its `record` and `outcome` (see Outcome); `initial_posture`: (8,) rad and m."""
     time, alpha = record.time, record.alpha
     period = float(time[1] - time[0]) if len(time) > 1 else 0.0
     high = alpha >= GUARD
@@ -178,27 +169,6 @@ def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
     )
 
 
-def short_stays(runs: list[ModeSequence]) -> dict[str, int]:
-    """How many stays between two crossings last at most SHORT, by where they come.
-
-    `reset`: within AT_RESET before the run's last crossing back to `task`, or in `task` right after it; `onset`: the
-    first stay in `return`, or within AT_RESET of the first crossing; `between`: any other.
-    """
-    found = {"onset": 0, "reset": 0, "between": 0}
-    for run in runs:
-        back = [c.time for c in run.crossings if c.target == TASK]
-        for stay in run.modes:
-            if not stay.complete or stay.seconds > SHORT + 1e-9:
-                continue
-            if stay.start - run.crossings[0].time < AT_RESET:
-                found["onset"] += 1
-            elif back and -AT_RESET <= stay.start - back[-1] <= 1e-9:
-                found["reset"] += 1
-            else:
-                found["between"] += 1
-    return found
-
-
 def report(runs: list[ModeSequence], limit: int) -> dict:
     """The automaton measured on `runs`, as plain types.
 
@@ -225,7 +195,6 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
         ],
         "dwell_seconds": dwell(True),
         "cut_off_seconds": dwell(False),
-        "short_stays": {"up_to_seconds": SHORT} | short_stays(runs),
         "transitions": {key: transitions[key] for key in (f"{TASK}->{RETURN}", f"{RETURN}->{TASK}")},
         "final_modes": {m: sum(run.modes[-1].mode == m for run in runs) for m in (TASK, RETURN)},
         "outcomes": dict(sorted(Counter(run.outcome for run in runs).items())),

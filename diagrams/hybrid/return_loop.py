@@ -62,8 +62,7 @@ class ReturnLoop:
     def run(self, joints: np.ndarray, can_xy: np.ndarray, vacant: str) -> tuple[np.ndarray, str | None]:
         """Runs home from rest at `joints` (7, rad), until a little after the arrival, or to the time limit.
 
-        Returns:
-            (n, 7) joint angles at the ticks, rad, and what Drake said where the simulation diverged, else None.
+        Returns (n, 7) joint angles at the ticks, rad, and what Drake said where the simulation diverged, else None.
         """
         station, period = self.station, self.world.timing.period
         self.simulator.reset_context(self.diagram.CreateDefaultContext())

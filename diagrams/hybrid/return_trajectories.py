@@ -50,20 +50,16 @@ def sample_postures(
     count: int,
     rng: np.random.Generator,
     outside: tuple[np.ndarray, np.ndarray] | None = None,
-) -> tuple[list[Sample], int]:
+) -> list[Sample]:
     """`count` samples inside the level set, or (uniform within the limits `outside`, (7,) each, rad) outside of it.
 
     A posture in which the arm is inside the desk, the shelf or a can is none: it is sampled again.
-
-    Returns:
-        The samples, and how many were no posture.
     """
     from tqdm import tqdm
 
     checker, home = CollisionChecker(gap=0.0), world.initial_posture[:ARM_JOINTS]
     corner, opposite = world.grid.bounds
     samples: list[Sample] = []
-    impossible = 0
     title = f"sample {'inside' if outside is None else 'outside'}"
     with tqdm(total=count, desc=title, leave=False, disable=None) as bar:
         while len(samples) < count:
@@ -75,12 +71,10 @@ def sample_postures(
                     continue
             sample = Sample(joints, rng.uniform(corner, opposite), str(rng.choice(SPOTS)))
             checker.set_scene(sample.can_xy, sample.vacant)
-            if checker.first_touch(joints) is not None:
-                impossible += 1
-                continue
-            samples.append(sample)
-            bar.update()
-    return samples, impossible
+            if checker.first_touch(joints) is None:
+                samples.append(sample)
+                bar.update()
+    return samples
 
 
 @dataclass(frozen=True)

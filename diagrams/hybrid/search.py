@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -31,7 +32,6 @@ class Trial:
     switch_failure: str | None
     task_done: bool
     objective: float
-    detection_delay_s: float | None
     moved_deg: float  # norm of the move from the command at the onset, as it came
     record_hash: str
 
@@ -44,8 +44,8 @@ class Trial:
         if target is not None and len(active) and active[0] > 0:
             before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
             moved = float(np.rad2deg(np.linalg.norm(np.array(target) - before)))
-        done, delay = bool(outcome.success), outcome.detection_delay_s
-        return cls(perturbation, failure, outcome.switch_failure, done, objective, delay, moved, record_hash(record))
+        done, switch_failure = bool(outcome.success), outcome.switch_failure
+        return cls(perturbation, failure, switch_failure, done, objective, moved, record_hash(record))
 
     @classmethod
     def of_row(cls, row: dict[str, Any]) -> Trial:
@@ -93,7 +93,7 @@ def search_all(
     trials: int,
     seed: int,
     store: RowStore,
-    samplers: Iterable[str] = SAMPLERS,
+    samplers: Sequence[str] = SAMPLERS,
     on_trial: Callable[[str, int, Trial], object] = lambda name, number, trial: None,
 ) -> dict[str, list[Trial]]:
     """One search for each of `samplers`, each with `trials` of its own, at the same time.
@@ -104,39 +104,27 @@ def search_all(
     """
     from tqdm import tqdm
 
-    samplers, found, errors = tuple(samplers), dict[str, list[Trial]](), list[Exception]()
     lock = threading.Lock()
+    bar = tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None)
 
     def guarded(suggest: Any) -> Perturbation | None:
         with lock:
             return propose(suggest)
 
-    with tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None) as bar:
+    def one(name: str) -> list[Trial]:
+        def known_or_run(number: int, perturbation: Perturbation) -> Trial:
+            key = repr(perturbation)
+            new = key not in store.rows
+            trial = run(perturbation) if new else Trial.of_row(store.rows[key])
+            with lock:
+                if new:
+                    store.add(key, asdict(trial))
+                bar.update()
+                on_trial(name, number, trial)
+            return trial
 
-        def one(name: str) -> None:
-            def known_or_run(number: int, perturbation: Perturbation) -> Trial:
-                key = f"{name} {number}"
-                known = store.rows.get(key)
-                trial = None if known is None else Trial.of_row(known)
-                if trial is None or trial.perturbation != perturbation:
-                    trial, known = run(perturbation), None
-                with lock:
-                    if known is None:
-                        store.add(key, asdict(trial))
-                    bar.update()
-                    on_trial(name, number, trial)
-                return trial
+        return search(make_sampler(name, seed), guarded, known_or_run, trials)
 
-            try:
-                found[name] = search(make_sampler(name, seed), guarded, known_or_run, trials)
-            except Exception as error:
-                errors.append(error)
-
-        threads = [threading.Thread(target=one, args=(name,)) for name in samplers]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    if errors:
-        raise errors[0]
-    return {name: found[name] for name in samplers}
+    with bar, ThreadPoolExecutor(len(samplers)) as threads:
+        searches = {name: threads.submit(one, name) for name in samplers}
+    return {name: future.result() for name, future in searches.items()}

@@ -47,52 +47,51 @@ class Linearize(Arguments):
 
     LEAST: ClassVar[dict[str, int]] = {"samples": 1}
 
+    def run(self) -> int:
+        """Analyses each policy before each subtask; returns 0 if Jacobians and decays are as predicted, else 1."""
+        from tqdm import tqdm
 
-def run(arguments: Linearize) -> int:
-    """Analyses each policy before each subtask; returns 0 if Jacobians and decays are as predicted, else 1."""
-    from tqdm import tqdm
+        from diagrams.drawing.spectra import save_spectra
+        from diagrams.episodes.sampling import EpisodeSampler
+        from models.files.weights import file_hash, load_policy
+        from models.inference import Encoder
 
-    from diagrams.drawing.spectra import save_spectra
-    from diagrams.episodes.sampling import EpisodeSampler
-    from models.files.weights import file_hash, load_policy
-    from models.inference import Encoder
-
-    if len(arguments.can) != 2 or arguments.vacant not in SPOTS:
-        raise InputError(f"--can takes X and Y, --vacant one of {', '.join(SPOTS)}")
-    can_xy = arguments.can[0], arguments.can[1]
-    world, encoder = arguments.world(), Encoder(arguments.encoder)
-    EpisodeSampler(world).require_reachable(can_xy)
-    policies = [(path, load_policy(path)) for path in arguments.policies]
-    for path, stored in policies:
-        require_trained_for(world, stored)
-        if stored.encoder_hash != encoder.hash:
-            raise InputError(
-                f"{path} was trained with another encoder than {arguments.encoder}: give that one with --encoder"
+        if len(self.can) != 2 or self.vacant not in SPOTS:
+            raise InputError(f"--can takes X and Y, --vacant one of {', '.join(SPOTS)}")
+        can_xy = self.can[0], self.can[1]
+        world, encoder = self.world(), Encoder(self.encoder)
+        EpisodeSampler(world).require_reachable(can_xy)
+        policies = [(path, load_policy(path)) for path in self.policies]
+        for path, stored in policies:
+            require_trained_for(world, stored)
+            if stored.encoder_hash != encoder.hash:
+                raise InputError(
+                    f"{path} was trained with another encoder than {self.encoder}: give that one with --encoder"
+                )
+        images = subtask_images(world, encoder, can_xy, self.vacant)
+        cases, pictures = [], []
+        jobs = [(path, stored, image) for path, stored in policies for image in images]
+        for path, stored, image in tqdm(jobs, desc="linearize", unit="case", disable=None):
+            found, norms = analyse(world, stored, image, samples=self.samples, seed=self.seed)
+            state_weight = stored.metadata.get("training", {}).get("state_weight")
+            name = {"policy": path.name, "hash": file_hash(path), "rnn": stored.rnn.name, "state_weight": state_weight}
+            cases.append(name | found | {"eigenvalues": found["eigenvalues"][:WRITTEN_EIGENVALUES]})
+            pictures.append((f"{path.stem}, subtask {image.subtask}", found["eigenvalues"], norms))
+            print(
+                f"{path.name}, subtask {found['subtask']}: {found['kind']} {found['distance_deg']:.2f} deg from the "
+                f"initial posture, spectral radius {found['spectral_radius']:.4f}; factor a tick predicted "
+                f"{found['decay_predicted']:.4f}, simulated {found['decay_measured']:.4f}; "
+                f"Jacobian off by {found['jacobian_error']:.1e}",
+                flush=True,
             )
-    images = subtask_images(world, encoder, can_xy, arguments.vacant)
-    cases, pictures = [], []
-    jobs = [(path, stored, image) for path, stored in policies for image in images]
-    for path, stored, image in tqdm(jobs, desc="linearize", unit="case", disable=None):
-        found, norms = analyse(world, stored, image, samples=arguments.samples, seed=arguments.seed)
-        state_weight = stored.metadata.get("training", {}).get("state_weight")
-        name = {"policy": path.name, "hash": file_hash(path), "rnn": stored.rnn.name, "state_weight": state_weight}
-        cases.append(name | found | {"eigenvalues": found["eigenvalues"][:WRITTEN_EIGENVALUES]})
-        pictures.append((f"{path.stem}, subtask {image.subtask}", found["eigenvalues"], norms))
-        print(
-            f"{path.name}, subtask {found['subtask']}: {found['kind']} {found['distance_deg']:.2f} deg from the "
-            f"initial posture, spectral radius {found['spectral_radius']:.4f}; factor a tick predicted "
-            f"{found['decay_predicted']:.4f}, simulated {found['decay_measured']:.4f}; "
-            f"Jacobian off by {found['jacobian_error']:.1e}",
-            flush=True,
-        )
-    worst = max(cases[: len(images)], key=lambda case: case["spectral_radius"])
-    of_worst = {name: worst[name] for name in ("spectral_radius", "decay_predicted", "decay_measured")}
-    largest = {name: max(case[name] for case in cases) for name in ("jacobian_error", "decay_error")}
-    scene = {"can": arguments.can, "vacant": arguments.vacant}
-    arguments.write("linearize", of_worst | largest | scene | {"cases": cases})
-    save_spectra(pictures, arguments.out / "linearize.png")
-    agree = largest["jacobian_error"] <= JACOBIAN_TOLERANCE and largest["decay_error"] <= DECAY_TOLERANCE
-    return 0 if agree else 1
+        worst = max(cases[: len(images)], key=lambda case: case["spectral_radius"])
+        of_worst = {name: worst[name] for name in ("spectral_radius", "decay_predicted", "decay_measured")}
+        largest = {name: max(case[name] for case in cases) for name in ("jacobian_error", "decay_error")}
+        scene = {"can": self.can, "vacant": self.vacant}
+        self.write("linearize", of_worst | largest | scene | {"cases": cases})
+        save_spectra(pictures, self.out / "linearize.png")
+        agree = largest["jacobian_error"] <= JACOBIAN_TOLERANCE and largest["decay_error"] <= DECAY_TOLERANCE
+        return 0 if agree else 1
 
 
 @dataclass(frozen=True)
@@ -107,8 +106,7 @@ class SubtaskImage:
 def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: str) -> list[SubtaskImage]:
     """The scene before subtask 1 (can on the desk) and before subtask 2 (can in the hand), the arm at home.
 
-    Between the two the teacher picks the can in physics; raises InputError where that fails. `encoder`: see
-    models/inference.py.
+    Between the two the teacher picks the can in physics; raises InputError where that fails.
     """
     builder = DiagramBuilder()
     station = builder.AddSystem(PickPlaceStation(world))
@@ -143,15 +141,11 @@ def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: s
 def analyse(
     world: World, stored: StoredPolicy, image: SubtaskImage, *, samples: int, seed: int
 ) -> tuple[dict, list[np.ndarray]]:
-    """Fixed point, eigenvalues and decay for one network and one subtask's image.
+    """Fixed point, eigenvalues and decay for one network and one subtask's image; each perturbation's norms (ticks,).
 
-    Args:
-        samples: perturbations simulated; seed: of their directions.
-
-    Returns:
-        The report, plain types: `decay_predicted` and `decay_measured` are factors a tick (above 1: growth),
-        `decay_error` the largest relative error of the logarithm of any sample's factor, `jacobian_error` the largest
-        difference to finite differences; and each perturbation's norms (ticks,).
+    In the report, plain types, `decay_predicted` and `decay_measured` are factors a tick (above 1: growth),
+    `decay_error` is the largest relative error of the logarithm of any sample's factor, `jacobian_error` the largest
+    difference to finite differences.
     """
     from diagrams.hybrid.one_tick_map import OneTickMap
 
@@ -171,8 +165,6 @@ def analyse(
         "subtask": image.subtask,
         "kind": "fixed point" if point.converged else "slow point",
         "residual": point.residual,
-        "newton_steps": point.steps,
-        "started_after_ticks": point.started_after,
         "distance_deg": float(np.rad2deg(offset[:ARM_JOINTS].max())),
         "finger_distance_m": float(offset[ARM_JOINTS:].max()),
         "state_rms": float(np.sqrt(np.mean(point.z[:-size] ** 2))),
