@@ -5,8 +5,6 @@
 Each writes DIR/NAME.json and its pictures beside it. Exit code 0: what it checks holds; 1: it does not; 2: bad input.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import tyro

@@ -1,7 +1,5 @@
 """Falsification: the smallest perturbation that defeats the switched controller, as scenario files that replay it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import ClassVar
@@ -135,10 +133,6 @@ def report(found: dict[str, list[Trial]], scenes: list[Episode]) -> dict:
         return {value: sum(row[entry] == value for row in rows) for value in values}
 
     return {
-        "scenes": [
-            {"seed": scene.seed, "can_xy": list(scene.can_xy), "vacant": scene.vacant, "rnn": scene.rnn}
-            for scene in scenes
-        ],
         "trials": {name: len(rows) for name, rows in all_trials.items()},
         "trials_to_first": {name: rows[0]["trial"] if rows else None for name, rows in cases.items()},
         "smallest_magnitude": {

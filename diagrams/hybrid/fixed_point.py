@@ -1,7 +1,5 @@
 """Fixed points of a map z -> F(z), and how fast a perturbation of one decays in simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ once, and the real closed loop (camera, networks, detector, physics) runs on for
 ticks says in which mode that ends: `task` or `return`. Displacements that put the arm into the scene are left out.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -7,8 +7,6 @@ it imagined to what is measured: at the switching point the two should be the sa
 fingers stand (AlphaMixer).
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -170,19 +168,13 @@ def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
 
 
 def report(runs: list[ModeSequence], limit: int) -> dict:
-    """The automaton measured on `runs`, as plain types.
+    """The automaton measured on `runs`, as plain types; more crossings than `limit` in any second are chatter.
 
-    `limit`: more crossings than this in any second are chatter. `dwell_seconds` is over stays that begin and end with a
-    crossing; the ones that the run's start or end cuts off are in `cut_off_seconds`.
+    `dwell_seconds` is over the stays that begin and end with a crossing, not those that an end of the run cuts off.
     """
-    stays = [stay for run in runs for stay in run.modes]
+    stays = [stay for run in runs for stay in run.modes if stay.complete]
     transitions = Counter(f"{crossing.source}->{crossing.target}" for run in runs for crossing in run.crossings)
     nearest = sorted(runs, key=lambda run: (-run.max_crossings_per_second, run.shortest_stay))
-
-    def dwell(complete: bool) -> dict:
-        seconds = {m: [s.seconds for s in stays if s.mode == m and s.complete is complete] for m in (TASK, RETURN)}
-        return {mode: _spread(values) for mode, values in seconds.items()}
-
     return {
         "runs": len(runs),
         "max_crossings_per_second": nearest[0].max_crossings_per_second,
@@ -193,8 +185,7 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
              "max_crossings_per_second": run.max_crossings_per_second, "shortest_stay_s": run.shortest_stay}
             for run in nearest[:5]
         ],
-        "dwell_seconds": dwell(True),
-        "cut_off_seconds": dwell(False),
+        "dwell_seconds": {m: _spread([stay.seconds for stay in stays if stay.mode == m]) for m in (TASK, RETURN)},
         "transitions": {key: transitions[key] for key in (f"{TASK}->{RETURN}", f"{RETURN}->{TASK}")},
         "final_modes": {m: sum(run.modes[-1].mode == m for run in runs) for m in (TASK, RETURN)},
         "outcomes": dict(sorted(Counter(run.outcome for run in runs).items())),

@@ -12,8 +12,6 @@ is recalled (`alpha` in the report measures it).
     m+    = mixer(m, clip(y), regulator(m), alpha = 0)      Eq. 3: Drake's systems, Jacobian by AutoDiffXd
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 

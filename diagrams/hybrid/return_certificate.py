@@ -12,8 +12,6 @@ eta is measured on postures of its own, with a safety factor, before any posture
 certificate does not cover is contact: that share is measured.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from typing import ClassVar
@@ -122,10 +120,9 @@ def make_certificate(
             f"each of {count} straight paths home to measure the tracking error on touches something: "
             "raise --samples, or clear the scene"
         )
-    levels["servo"] = lyapunov.servo_level(np.array(starts), np.array(etas))
-    level = min(levels.values())
-    eta = SAFETY_FACTOR * max((e for e, v in zip(etas, starts, strict=True) if v < level), default=0.0)
-    return Certificate(lyapunov, levels, at_home, eta, len(etas))
+    levels["servo"] = lyapunov.servo_level(starts, etas)
+    eta = max((e for e, v in zip(etas, starts, strict=True) if v < min(levels.values())), default=0.0)
+    return Certificate(lyapunov, levels, at_home, SAFETY_FACTOR * eta, len(etas))
 
 
 def certify(
@@ -170,7 +167,6 @@ def certify(
         "semi_axes_deg": np.rad2deg(np.sqrt(level * np.diag(np.linalg.inv(lyapunov.P)))).tolist(),
         "tracking_error": {"eta": certificate.eta, "safety_factor": SAFETY_FACTOR, "postures": certificate.calibrated},
         "S": lyapunov.P.tolist(),
-        "units_rad": np.asarray(units).tolist(),
         "collision_share": _shares(inside),
         "collision_share_outside": _shares(beyond),
     }

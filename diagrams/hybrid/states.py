@@ -1,7 +1,5 @@
 """Every state of the hybrid system: which system owns it, how large it is, how often it changes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.hybrid.common import Arguments
@@ -108,23 +107,20 @@ def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: s
 
     Between the two the teacher picks the can in physics; raises InputError where that fails.
     """
-    builder = DiagramBuilder()
-    station = builder.AddSystem(PickPlaceStation(world))
-    size = world.camera.width, world.camera.height
-    eye = builder.AddNamedSystem("image_encoder", ImageEncoder(encoder, *size))
-    builder.Connect(station.GetOutputPort("rgb_image"), eye.GetInputPort("rgb_image"))
-    builder.ExportInput(station.GetInputPort("desired_posture"), "desired_posture")
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
+    station = PickPlaceStation(world)
+    simulator = Simulator(station)
     context = simulator.get_mutable_context()
     station.set_scene(context, np.asarray(can_xy), vacant)
-    desired = diagram.GetInputPort("desired_posture")
+    desired = station.GetInputPort("desired_posture")
     desired.FixValue(context, world.initial_posture)
     simulator.Initialize()
+    eye = ImageEncoder(encoder, world.camera.width, world.camera.height)
+    seen = eye.CreateDefaultContext()
 
     def look(subtask: int) -> SubtaskImage:
-        features = eye.GetOutputPort("features").Eval(eye.GetMyContextFromRoot(context)).copy()
+        eye.GetInputPort("rgb_image").FixValue(seen, station.GetOutputPort("rgb_image").Eval(context))
         opening = desired.Eval(context)[-1]
+        features = eye.GetOutputPort("features").Eval(seen).copy()
         return SubtaskImage(subtask, features, np.append(world.initial_posture[:-1], opening))
 
     first = look(1)
@@ -133,7 +129,7 @@ def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: s
     for k, row in enumerate(rows, start=1):
         desired.FixValue(context, row)
         simulator.AdvanceTo(k * world.timing.period)
-    if not lifted(station.GetOutputPort("can_poses").Eval(station.GetMyContextFromRoot(context))):
+    if not lifted(station.GetOutputPort("can_poses").Eval(context)):
         raise InputError(f"the teacher does not pick the can at {can_xy}: choose another place with --can")
     return [first, look(2)]
 
@@ -160,17 +156,15 @@ def analyse(
     rng = np.random.default_rng(seed)
     decays = [measure_decay(loop, point.z, radius, rng) for _ in range(samples)]
     measured = float(np.exp(np.mean(np.log([decay for decay, _ in decays]))))
-    offset = np.abs(stored.scaling.unscale(point.z[-size:]) - image.posture)
+    offset = np.abs(stored.scaling.unscale(point.z[-size:]) - image.posture)[:ARM_JOINTS]
     report = {
         "subtask": image.subtask,
         "kind": "fixed point" if point.converged else "slow point",
         "residual": point.residual,
-        "distance_deg": float(np.rad2deg(offset[:ARM_JOINTS].max())),
-        "finger_distance_m": float(offset[ARM_JOINTS:].max()),
+        "distance_deg": float(np.rad2deg(offset.max())),
         "state_rms": float(np.sqrt(np.mean(point.z[:-size] ** 2))),
         "alpha": _alpha(stored, point.z, size),
         "spectral_radius": radius,
-        "unstable": int(np.sum(np.abs(eigenvalues) >= 1.0)),
         "decay_predicted": radius,
         "decay_measured": measured,
         "decay_error": float(max(abs(np.log(decay) / np.log(radius) - 1.0) for decay, _ in decays)),
