@@ -1,7 +1,5 @@
 """What the analyses share: their common arguments, and how a report is written."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +75,7 @@ class NetworkArguments(Arguments):
 
         return self.weights / policy_name(self.rnn)
 
-    def rollout(self, world: World) -> Rollout:
+    def rollout(self, world: World) -> "Rollout":
         """The closed loop; raises InputError as Encoder, Policy and Rollout do."""
         from diagrams.episodes.rollout import Rollout
         from models.inference import Encoder, Policy

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 from diagrams.episodes.calibration import Controller
@@ -61,13 +62,6 @@ class Falsify(NetworkArguments):
                 episode = replace(scenes[perturbation.scene], disturbance=perturbation.disturbance)
                 return Trial.of(perturbation, *simulate([episode])[0], gamma)
 
-            def keep(name: str, number: int, trial: Trial) -> None:
-                """Counterexamples are on disk as they come: a search takes long."""
-                if trial.failure is not None:
-                    scene, file = scenes[trial.perturbation.scene], file_name(name, number)
-                    scenario = scenario_of(world, scene, self.rnn, trial.perturbation.disturbance)
-                    save_scenario(self.out / file, scenario, comments(self, file, trial, policy.hash))
-
             print(f"the undisturbed runs of {len(scenes)} scenes ...", flush=True)
             nominal = simulate(scenes)
             for scene, (outcome, _) in zip(scenes, nominal, strict=True):
@@ -77,6 +71,7 @@ class Falsify(NetworkArguments):
                         "choose another --seed or fewer --scenes"
                     )
             space = PerturbationSpace(world, scenes, [record for _, record in nominal])
+            keep = partial(self._keep, world, scenes, policy.hash)
             found = search_all(space.propose, run_trial, self.trials, self.seed, store, on_trial=keep)
             result = report(found, scenes)
             # The smallest of each sampler again, from its file.
@@ -99,6 +94,23 @@ class Falsify(NetworkArguments):
             )
         return 0 if all(case["same_bits"] for case in replayed.values()) else 1
 
+    def _keep(
+        self, world: World, scenes: list[Episode], weights_hash: str, name: str, number: int, trial: Trial
+    ) -> None:
+        """Writes a counterexample at once: a search takes long."""
+        if trial.failure is None:
+            return
+        perturbation, file = trial.perturbation, file_name(name, number)
+        scenario = scenario_of(world, scenes[perturbation.scene], self.rnn, perturbation.disturbance)
+        weights = "" if self.weights == WEIGHTS else " --weights DIR"
+        comments = [
+            f"{trial.failure}: {perturbation.form}, {trial.moved_deg:.1f} deg, {perturbation.ticks} ticks, "
+            f"in subtask {perturbation.disturbance.subtask}",
+            f"{self.policy_path.name} with the hash {weights_hash[:16]}; record {trial.record_hash[:16]}",
+            f"python diagrams/pick_place.py --scenario {file}{weights}",
+        ]
+        save_scenario(self.out / file, scenario, comments)
+
 
 def file_name(sampler: str, number: int) -> str:
     """Of the scenario file of a counterexample; `number`: of the trial, from 0."""
@@ -109,18 +121,6 @@ def scenario_of(world: World, scene: Episode, rnn: str, disturbance: Disturbance
     """The scenario that gives the scene with this disturbance in full; `rnn`: the network as it was asked for."""
     can = [float(v) for v in scene.can_xy]
     return Scenario(rnn, scene.detector, scene.seed, can, scene.vacant, disturbance, world)
-
-
-def comments(arguments: Falsify, file: str, trial: Trial, weights_hash: str) -> list[str]:
-    """What the scenario file of a counterexample says of itself."""
-    perturbation = trial.perturbation
-    weights = "" if arguments.weights == WEIGHTS else " --weights DIR"
-    return [
-        f"{trial.failure}: {perturbation.form}, {trial.moved_deg:.1f} deg, {perturbation.ticks} ticks, "
-        f"in subtask {perturbation.disturbance.subtask}",
-        f"{arguments.policy_path.name} with the hash {weights_hash[:16]}; record {trial.record_hash[:16]}",
-        f"python diagrams/pick_place.py --scenario {file}{weights}",
-    ]
 
 
 def report(found: dict[str, list[Trial]], scenes: list[Episode]) -> dict:
@@ -146,13 +146,8 @@ def report(found: dict[str, list[Trial]], scenes: list[Episode]) -> dict:
 
 
 def _plain(name: str, number: int, trial: Trial, scenes: list[Episode]) -> dict:
-    perturbation = trial.perturbation
+    case = trial.perturbation
     return asdict(trial) | {
-        "sampler": name,
-        "trial": number + 1,
-        "file": None if trial.failure is None else file_name(name, number),
-        "scene": scenes[perturbation.scene].seed,
-        "form": perturbation.form,
-        "length_ticks": perturbation.ticks,
-        "magnitude": perturbation.magnitude,
-    }
+        "sampler": name, "trial": number + 1, "file": None if trial.failure is None else file_name(name, number),
+        "scene": scenes[case.scene].seed, "form": case.form, "length_ticks": case.ticks, "magnitude": case.magnitude,
+    }  # fmt: skip

@@ -1,9 +1,8 @@
 """The Lyapunov function of mode `return`: the Riccati matrix of the LQR on the posture integrator (Sec. III-D)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -23,7 +22,7 @@ class Lyapunov:
     rate: float  # V[k+1] <= rate V[k] in the ideal loop
 
     @classmethod
-    def of(cls, world: World, units: np.ndarray) -> Lyapunov:
+    def of(cls, world: World, units: np.ndarray) -> Self:
         """From the Riccati equation, the regulator's weights in `units` (7, rad); the gain does not depend on them."""
         weight = np.diag(1.0 / np.asarray(units) ** 2)
         Q, R = world.regulator.state_weight * weight, world.regulator.input_weight * weight

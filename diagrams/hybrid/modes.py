@@ -84,18 +84,6 @@ class Stay:
 
 
 @dataclass(frozen=True)
-class Crossing:
-    """The guard crossed at tick `tick`, at `time` (s): the values of alpha of the tick before and of this one."""
-
-    tick: int
-    time: float
-    source: str
-    target: str
-    alpha_before: float
-    alpha_after: float
-
-
-@dataclass(frozen=True)
 class Reset:
     """What jumps where mode `return` ends: the network's posture input goes from imagined to measured."""
 
@@ -114,13 +102,17 @@ class ModeSequence:
     outcome: str  # done, or the kind of failure
     disturbance: str
     modes: list[Stay]
-    crossings: list[Crossing]
     resets: list[Reset]
+
+    @property
+    def crossings(self) -> list[float]:
+        """When the guard is crossed, s: each stay but the first begins so."""
+        return [stay.start for stay in self.modes[1:]]
 
     @property
     def max_crossings_per_second(self) -> int:
         """Most guard crossings within any one second."""
-        return most_within([c.time for c in self.crossings], 1.0)
+        return most_within(self.crossings, 1.0)
 
     @property
     def shortest_stay(self) -> float:
@@ -137,20 +129,17 @@ def most_within(times: list[float], span: float) -> int:
 
 def mode_sequence(record: Record, outcome: dict, name: str, initial_posture: np.ndarray) -> ModeSequence:
     """The modes of the run `name`, of its `record` and `outcome` (see Outcome); `initial_posture`: (8,) rad and m."""
-    time, alpha = record.time, record.alpha
-    period = float(time[1] - time[0]) if len(time) > 1 else 0.0
-    high = alpha >= GUARD
-    changes = np.flatnonzero(np.diff(high.astype(int))) + 1
-    names = [RETURN if h else TASK for h in high]
-    edges = [0, *changes.tolist(), len(time)]
-    ends = [*time.tolist(), float(time[-1]) + period]
-    stays = [Stay(names[a], ends[a], ends[b], complete=a > 0 and b < len(time)) for a, b in pairwise(edges)]
-    crossings = [
-        Crossing(int(k), float(time[k]), names[k - 1], names[k], float(alpha[k - 1]), float(alpha[k])) for k in changes
+    time, high = record.time.tolist(), record.alpha >= GUARD
+    ticks, period = len(time), time[1] - time[0] if len(time) > 1 else 0.0
+    crossed = (np.flatnonzero(np.diff(high)) + 1).tolist()
+    ends = [*time, time[-1] + period]
+    stays = [
+        Stay(RETURN if high[a] else TASK, ends[a], ends[b], complete=a > 0 and b < ticks)
+        for a, b in pairwise([0, *crossed, ticks])
     ]
-    resets = [_reset(record, int(k), initial_posture) for k in changes if not high[k] and k + 1 < len(time)]
+    resets = [_reset(record, k, initial_posture) for k in crossed if not high[k] and k + 1 < ticks]
     result = "done" if outcome["success"] else str(outcome["failure"])
-    return ModeSequence(name, result, outcome["disturbance"], stays, crossings, resets)
+    return ModeSequence(name, result, outcome["disturbance"], stays, resets)
 
 
 def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
@@ -173,7 +162,7 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
     `dwell_seconds` is over the stays that begin and end with a crossing, not those that an end of the run cuts off.
     """
     stays = [stay for run in runs for stay in run.modes if stay.complete]
-    transitions = Counter(f"{crossing.source}->{crossing.target}" for run in runs for crossing in run.crossings)
+    entered = Counter(stay.mode for run in runs for stay in run.modes[1:])
     nearest = sorted(runs, key=lambda run: (-run.max_crossings_per_second, run.shortest_stay))
     return {
         "runs": len(runs),
@@ -186,7 +175,7 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
             for run in nearest[:5]
         ],
         "dwell_seconds": {m: _spread([stay.seconds for stay in stays if stay.mode == m]) for m in (TASK, RETURN)},
-        "transitions": {key: transitions[key] for key in (f"{TASK}->{RETURN}", f"{RETURN}->{TASK}")},
+        "transitions": {f"{TASK}->{RETURN}": entered[RETURN], f"{RETURN}->{TASK}": entered[TASK]},
         "final_modes": {m: sum(run.modes[-1].mode == m for run in runs) for m in (TASK, RETURN)},
         "outcomes": dict(sorted(Counter(run.outcome for run in runs).items())),
         "resets": {

@@ -9,11 +9,9 @@ the scene is none.
 What is minimised: the magnitude in [0, 1] where the controller is defeated, else 1 + its margin in [0, 1].
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -68,7 +66,7 @@ class NominalRun:
     commands: np.ndarray  # (n, 7) the command that holds at that tick, rad
 
     @classmethod
-    def of(cls, record: Record, hand: HandKinematics, place: np.ndarray) -> NominalRun:
+    def of(cls, record: Record, hand: HandKinematics, place: np.ndarray) -> Self:
         """From an undisturbed run's record; `place` (3,): centre of the can on its spot, m, world."""
         can = record.can_poses[:, 4:7]
         grasp = np.array([hand.grasp_position(joints[:ARM_JOINTS]) for joints in record.posture])
@@ -146,10 +144,8 @@ def judge(
     perturbation: Perturbation, outcome: Outcome, record: Record, period: float, gamma: float
 ) -> tuple[str | None, float]:
     """The kind of defeat (None without one) and what is minimised; `gamma`: threshold of the errors; `period`: s."""
-    failure = outcome.switch_failure if outcome.switch_failure in DEFEATS else None
-    if failure == "not detected" and outcome.success:
-        failure = None
-    if failure is not None:
+    failure = outcome.switch_failure
+    if failure in DEFEATS and not (failure == "not detected" and outcome.success):
         return failure, perturbation.magnitude
     margins = [1.0]
     active = np.flatnonzero(record.active)

@@ -130,13 +130,9 @@ def certify(
 ) -> tuple[dict, dict]:
     """The certificate and its proof: the report, plain types, and what diagrams/drawing/return_certificate.py draws.
 
-    Args:
-        units: (7,) rad, in which the regulator's weights are meant: the scaling of the controller.
-        samples, outside: how many postures inside and outside the certified set are simulated.
-        seed: of the postures.
-        store: of the trajectories simulated so far, see `trajectories_home`.
-
-    Raises InputError where no straight path is clear that the tracking error could be measured on.
+    `units` (7,) rad: of the regulator's weights, the controller's scaling; `samples`, `outside`: postures simulated
+    inside and outside the certified set; `store`: see `trajectories_home`. Raises InputError where no straight path is
+    clear that the tracking error could be measured on.
     """
     # Three streams: what the certificate is made from must not be what it is tested on.
     calibration, inner, outer = (np.random.default_rng([seed, stream]) for stream in range(3))

@@ -1,12 +1,10 @@
 """Searches for the smallest perturbation that defeats the controller: Optuna's samplers with the same budget."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,7 +15,7 @@ from diagrams.hybrid.perturbations import Perturbation, judge
 from diagrams.world.disturbance import Disturbance
 from diagrams.world.names import ARM_JOINTS
 
-SAMPLERS = ("tpe", "cmaes", "random")
+SAMPLERS = {"tpe": "TPESampler", "cmaes": "CmaEsSampler", "random": "RandomSampler"}  # Optuna's classes
 ASKS_PER_TRIAL = 50  # proposals that are no perturbation are told so; after that many a search gives up
 
 Propose = Callable[[Any], Perturbation | None]  # see PerturbationSpace.propose
@@ -36,7 +34,7 @@ class Trial:
     record_hash: str
 
     @classmethod
-    def of(cls, perturbation: Perturbation, outcome: Outcome, record: Record, gamma: float) -> Trial:
+    def of(cls, perturbation: Perturbation, outcome: Outcome, record: Record, gamma: float) -> Self:
         """`gamma`: the threshold of the record's errors."""
         failure, objective = judge(perturbation, outcome, record, float(record.time[1] - record.time[0]), gamma)
         moved, target = 0.0, perturbation.disturbance.target
@@ -48,7 +46,7 @@ class Trial:
         return cls(perturbation, failure, switch_failure, done, objective, moved, record_hash(record))
 
     @classmethod
-    def of_row(cls, row: dict[str, Any]) -> Trial:
+    def of_row(cls, row: dict[str, Any]) -> Self:
         """From a row of the store: what `asdict` made of a trial."""
         given = row["perturbation"]
         perturbation = Perturbation(**given | {"disturbance": Disturbance(**given["disturbance"])})
@@ -59,9 +57,8 @@ def make_sampler(name: str, seed: int):
     """Optuna's sampler of SAMPLERS."""
     from optuna import samplers
 
-    classes = {"tpe": samplers.TPESampler, "cmaes": samplers.CmaEsSampler, "random": samplers.RandomSampler}
     # Seeds of their own: TPE begins as random search does.
-    return classes[name](seed=len(SAMPLERS) * seed + SAMPLERS.index(name))
+    return getattr(samplers, SAMPLERS[name])(seed=len(SAMPLERS) * seed + list(SAMPLERS).index(name))
 
 
 def search(sampler, propose: Propose, run: Callable[[int, Perturbation], Trial], trials: int) -> list[Trial]:
@@ -93,7 +90,7 @@ def search_all(
     trials: int,
     seed: int,
     store: RowStore,
-    samplers: Sequence[str] = SAMPLERS,
+    samplers: Collection[str] = SAMPLERS,
     on_trial: Callable[[str, int, Trial], object] = lambda name, number, trial: None,
 ) -> dict[str, list[Trial]]:
     """One search for each of `samplers`, each with `trials` of its own, at the same time.

@@ -3,8 +3,6 @@
 What is held, and what the map leaves out: see one_tick_map.py.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -41,7 +39,7 @@ class Linearize(Arguments):
     policies: list[Path] = field(default_factory=lambda: [WEIGHTS / "lstm.safetensors"])  # policy files to compare
     encoder: Path = WEIGHTS / ENCODER  # autoencoder file
     samples: int = 10  # perturbations simulated for each network and subtask
-    can: list[float] = field(default_factory=lambda: [0.53, 0.0])  # X Y, m, world
+    can: tuple[float, float] = (0.53, 0.0)  # X Y, m, world
     vacant: str = "left"  # spot on the shelf: left or right
 
     LEAST: ClassVar[dict[str, int]] = {"samples": 1}
@@ -55,11 +53,10 @@ class Linearize(Arguments):
         from models.files.weights import file_hash, load_policy
         from models.inference import Encoder
 
-        if len(self.can) != 2 or self.vacant not in SPOTS:
-            raise InputError(f"--can takes X and Y, --vacant one of {', '.join(SPOTS)}")
-        can_xy = self.can[0], self.can[1]
+        if self.vacant not in SPOTS:
+            raise InputError(f"there is no spot {self.vacant}: choose --vacant one of {', '.join(SPOTS)}")
         world, encoder = self.world(), Encoder(self.encoder)
-        EpisodeSampler(world).require_reachable(can_xy)
+        EpisodeSampler(world).require_reachable(self.can)
         policies = [(path, load_policy(path)) for path in self.policies]
         for path, stored in policies:
             require_trained_for(world, stored)
@@ -67,7 +64,7 @@ class Linearize(Arguments):
                 raise InputError(
                     f"{path} was trained with another encoder than {self.encoder}: give that one with --encoder"
                 )
-        images = subtask_images(world, encoder, can_xy, self.vacant)
+        images = subtask_images(world, encoder, self.can, self.vacant)
         cases, pictures = [], []
         jobs = [(path, stored, image) for path, stored in policies for image in images]
         for path, stored, image in tqdm(jobs, desc="linearize", unit="case", disable=None):
@@ -135,7 +132,7 @@ def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: s
 
 
 def analyse(
-    world: World, stored: StoredPolicy, image: SubtaskImage, *, samples: int, seed: int
+    world: World, stored: "StoredPolicy", image: SubtaskImage, *, samples: int, seed: int
 ) -> tuple[dict, list[np.ndarray]]:
     """Fixed point, eigenvalues and decay for one network and one subtask's image; each perturbation's norms (ticks,).
 
@@ -174,7 +171,7 @@ def analyse(
     return report, [norms for _, norms in decays]
 
 
-def _alpha(stored: StoredPolicy, z: np.ndarray, size: int) -> float | None:
+def _alpha(stored: "StoredPolicy", z: np.ndarray, size: int) -> float | None:
     """alpha of a network that rests at z, by Eqs. 5 and 6; None without recall heads or calibration."""
     import torch
 
