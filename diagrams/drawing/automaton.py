@@ -1,7 +1,5 @@
 """The hybrid automaton of runs, and their modes over time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from diagrams.drawing.style import BLUE, RED, new_figure, save

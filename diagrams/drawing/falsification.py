@@ -1,7 +1,5 @@
 """The course of the searches for a perturbation that defeats the controller, and all trials by size and length."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The guard surface over two directions of posture displacement."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

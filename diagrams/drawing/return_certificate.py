@@ -1,7 +1,5 @@
 """The certificate of mode `return`: V over time, and from where a straight path home touches something."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Eigenvalues at the switching point, and the decay of perturbations."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,13 +1,9 @@
 """What the analyses share: their common arguments, and how a report is written."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
-
-import numpy as np
 
 from diagrams.world.configuration import World
 from diagrams.world.names import ENCODER, WEIGHTS
@@ -21,21 +17,24 @@ if TYPE_CHECKING:
 
 @dataclass
 class Arguments:
-    """What every analysis takes."""
+    """What every analysis takes; each is a subclass with its `run`."""
 
     out: Path = Path("outputs/analysis")  # folder of the report and its pictures
     seed: int = 0  # of whatever is random
     scenario: Path | None = None  # YAML file, whose world is taken
 
-    LEAST: ClassVar[dict[str, int]] = {"seed": 0}  # smallest value of each number
+    LEAST: ClassVar[dict[str, int]] = {}  # smallest value of each number
+
+    def run(self) -> int:
+        """Makes the analysis; returns 0 if what it checks holds, else 1."""
+        raise NotImplementedError
 
     def check(self) -> None:
         """Raises InputError for a number that is too small, and where `out` cannot be made."""
-        for kind in type(self).__mro__:
-            for name, least in vars(kind).get("LEAST", {}).items():
-                value = getattr(self, name)
-                if value is not None and value < least:
-                    raise InputError(f"--{name.replace('_', '-')} {value} is too small: choose {least} or more")
+        for name, least in {"seed": 0, **self.LEAST}.items():
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise InputError(f"--{name.replace('_', '-')} {value} is too small: choose {least} or more")
         try:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -47,8 +46,9 @@ class Arguments:
 
     def write(self, name: str, report: dict[str, Any]) -> None:
         """Writes the report (plain types) to NAME.json in `out`."""
-        text = json.dumps(_finite({"seed": self.seed} | report), indent=1, allow_nan=False)
-        (self.out / f"{name}.json").write_text(text + "\n")
+        text = json.dumps({"seed": self.seed} | report)
+        finite = json.loads(text, parse_constant=lambda _: None)  # JSON has no word for NaN and infinity
+        (self.out / f"{name}.json").write_text(json.dumps(finite, indent=1) + "\n")
 
 
 @dataclass
@@ -75,18 +75,9 @@ class NetworkArguments(Arguments):
 
         return self.weights / policy_name(self.rnn)
 
-    def rollout(self, world: World) -> Rollout:
+    def rollout(self, world: World) -> "Rollout":
         """The closed loop; raises InputError as Encoder, Policy and Rollout do."""
         from diagrams.episodes.rollout import Rollout
         from models.inference import Encoder, Policy
 
         return Rollout(world, Encoder(self.encoder_path), Policy(self.policy_path))
-
-
-def _finite(value: Any) -> Any:
-    """`value` with None for every number that is not finite, for which JSON has no word."""
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

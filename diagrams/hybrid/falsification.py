@@ -1,9 +1,8 @@
 """Falsification: the smallest perturbation that defeats the switched controller, as scenario files that replay it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 from diagrams.episodes.calibration import Controller
@@ -35,72 +34,82 @@ class Falsify(NetworkArguments):
 
     LEAST: ClassVar[dict[str, int]] = {"trials": 1, "scenes": 1, "workers": 0}
 
+    def run(self) -> int:
+        """Searches, and replays each sampler's smallest counterexample; returns 0 if all give the same bits, else 1."""
+        import cmaes  # noqa: F401 - absent, it is named before anything is run
+        import optuna  # noqa: F401
 
-def run(arguments: Falsify) -> int:
-    """Searches, and replays each sampler's smallest counterexample; returns 0 if all give the same bits, else 1."""
-    import cmaes  # noqa: F401 - absent, it is named before anything is run
-    import optuna  # noqa: F401
+        from diagrams.drawing.falsification import save_search
+        from models.inference import Encoder, Policy
 
-    from diagrams.drawing.falsification import save_search
-    from models.inference import Encoder, Policy
+        world, encoder, policy = self.world(), Encoder(self.encoder_path), Policy(self.policy_path)
+        if policy.gamma is None:
+            raise InputError(f"{self.policy_path} has no calibration: run diagrams/calibrate.py on it")
+        gamma, sampler = float(policy.gamma), EpisodeSampler(world)
+        seeds = episode_seeds("validation", self.seed, self.scenes)
+        scenes = [sampler.sample(seed, "none", rnn=policy.name) for seed in seeds]
+        chosen = {"seed": self.seed, "scenes": self.scenes, "weights": policy.hash, "encoder": encoder.hash}
+        identity = fingerprint(world, "diagrams/hybrid", **chosen)
+        with RowStore(self.out / "falsify_trials.jsonl", identity) as store, Pool(self.workers) as pool:
 
-    world, encoder, policy = arguments.world(), Encoder(arguments.encoder_path), Policy(arguments.policy_path)
-    if policy.gamma is None:
-        raise InputError(f"{arguments.policy_path} has no calibration: run diagrams/calibrate.py on it")
-    gamma, sampler = float(policy.gamma), EpisodeSampler(world)
-    seeds = episode_seeds("validation", arguments.seed, arguments.scenes)
-    scenes = [sampler.sample(seed, "none", rnn=policy.name) for seed in seeds]
-    chosen = {"seed": arguments.seed, "scenes": arguments.scenes, "weights": policy.hash, "encoder": encoder.hash}
-    identity = fingerprint(world, "diagrams/hybrid", **chosen)
-    with RowStore(arguments.out / "falsify_trials.jsonl", identity) as store, Pool(arguments.workers) as pool:
+            def simulate(episodes: Sequence[Episode]) -> list[tuple[Outcome, Record]]:
+                controller = Controller(self.policy_path)
+                jobs = [Job(world, self.encoder_path, controller, episode=episode) for episode in episodes]
+                results = {id(job): result for job, result in pool.run(run_episode, jobs)}
+                return [results[id(job)] for job in jobs]
 
-        def simulate(episodes: Sequence[Episode]) -> list[tuple[Outcome, Record]]:
-            controller = Controller(arguments.policy_path)
-            jobs = [Job(world, arguments.encoder_path, controller, episode=episode) for episode in episodes]
-            results = {id(job): result for job, result in pool.run(run_episode, jobs)}
-            return [results[id(job)] for job in jobs]
+            def run_trial(perturbation: Perturbation) -> Trial:
+                episode = replace(scenes[perturbation.scene], disturbance=perturbation.disturbance)
+                return Trial.of(perturbation, *simulate([episode])[0], gamma)
 
-        def run_trial(perturbation: Perturbation) -> Trial:
-            episode = replace(scenes[perturbation.scene], disturbance=perturbation.disturbance)
-            return Trial.of(perturbation, *simulate([episode])[0], gamma)
+            print(f"the undisturbed runs of {len(scenes)} scenes ...", flush=True)
+            nominal = simulate(scenes)
+            for scene, (outcome, _) in zip(scenes, nominal, strict=True):
+                if outcome.switched:
+                    raise InputError(
+                        f"the undisturbed run of the scene {scene.seed} already switches: "
+                        "choose another --seed or fewer --scenes"
+                    )
+            space = PerturbationSpace(world, scenes, [record for _, record in nominal])
+            keep = partial(self._keep, world, scenes, policy.hash)
+            found = search_all(space.propose, run_trial, self.trials, self.seed, store, on_trial=keep)
+            result = report(found, scenes)
+            # The smallest of each sampler again, from its file.
+            cases = {case["sampler"]: case for case in reversed(result["counterexamples"])}
+            files = [self.out / case["file"] for case in cases.values()]
+            again = simulate([sampler.episode(load_scenario(file)) for file in files])
+        replayed = {
+            name: {"file": case["file"], "same_failure": outcome.switch_failure == case["failure"],
+                   "same_bits": record_hash(record) == case["record_hash"]}
+            for (name, case), (outcome, record) in zip(cases.items(), again, strict=True)
+        }  # fmt: skip
+        undisturbed = [outcome.success for outcome, _ in nominal]
+        self.write("falsify", result | {"undisturbed_success": undisturbed, "replayed": replayed})
+        save_search(result["all_trials"], self.out / "falsify.png")
+        for name in found:
+            first, trials, smallest = (result[key][name] for key in ("trials_to_first", "trials", "smallest_magnitude"))
+            print(
+                f"{name}: first counterexample after {first} of {trials} trials, smallest magnitude "
+                f"{'none' if smallest is None else f'{smallest:.3f}'}; {result['failures'][name]}"
+            )
+        return 0 if all(case["same_bits"] for case in replayed.values()) else 1
 
-        def keep(name: str, number: int, trial: Trial) -> None:
-            """Counterexamples are on disk as they come: a search takes long."""
-            if trial.failure is not None:
-                scene, file = scenes[trial.perturbation.scene], file_name(name, number)
-                scenario = scenario_of(world, scene, arguments.rnn, trial.perturbation.disturbance)
-                save_scenario(arguments.out / file, scenario, _comments(arguments, file, trial, policy.hash))
-
-        print(f"the undisturbed runs of {len(scenes)} scenes ...", flush=True)
-        nominal = simulate(scenes)
-        for scene, (outcome, _) in zip(scenes, nominal, strict=True):
-            if outcome.switched:
-                raise InputError(
-                    f"the undisturbed run of the scene {scene.seed} already switches: "
-                    "choose another --seed or fewer --scenes"
-                )
-        space = PerturbationSpace(world, scenes, [record for _, record in nominal])
-        found = search_all(space.propose, run_trial, arguments.trials, arguments.seed, store, on_trial=keep)
-        result = report(found, scenes)
-        # The smallest of each sampler again, from its file.
-        cases = {case["sampler"]: case for case in reversed(result["counterexamples"])}
-        files = [arguments.out / case["file"] for case in cases.values()]
-        again = simulate([sampler.episode(load_scenario(file)) for file in files])
-    replayed = {
-        name: {"file": case["file"], "same_failure": outcome.switch_failure == case["failure"],
-               "same_bits": record_hash(record) == case["record_hash"]}
-        for (name, case), (outcome, record) in zip(cases.items(), again, strict=True)
-    }  # fmt: skip
-    undisturbed = [outcome.success for outcome, _ in nominal]
-    arguments.write("falsify", result | {"undisturbed_success": undisturbed, "replayed": replayed})
-    save_search(result["all_trials"], arguments.out / "falsify.png")
-    for name in found:
-        smallest = result["smallest_magnitude"][name]
-        print(
-            f"{name}: first counterexample after {result['trials_to_first'][name]} of {result['trials'][name]} trials, "
-            f"smallest magnitude {'none' if smallest is None else f'{smallest:.3f}'}; {result['failures'][name]}"
-        )
-    return 0 if all(case["same_bits"] for case in replayed.values()) else 1
+    def _keep(
+        self, world: World, scenes: list[Episode], weights_hash: str, name: str, number: int, trial: Trial
+    ) -> None:
+        """Writes a counterexample at once: a search takes long."""
+        if trial.failure is None:
+            return
+        perturbation, file = trial.perturbation, file_name(name, number)
+        scenario = scenario_of(world, scenes[perturbation.scene], self.rnn, perturbation.disturbance)
+        weights = "" if self.weights == WEIGHTS else " --weights DIR"
+        comments = [
+            f"{trial.failure}: {perturbation.form}, {trial.moved_deg:.1f} deg, {perturbation.ticks} ticks, "
+            f"in subtask {perturbation.disturbance.subtask}",
+            f"{self.policy_path.name} with the hash {weights_hash[:16]}; record {trial.record_hash[:16]}",
+            f"python diagrams/pick_place.py --scenario {file}{weights}",
+        ]
+        save_scenario(self.out / file, scenario, comments)
 
 
 def file_name(sampler: str, number: int) -> str:
@@ -114,54 +123,31 @@ def scenario_of(world: World, scene: Episode, rnn: str, disturbance: Disturbance
     return Scenario(rnn, scene.detector, scene.seed, can, scene.vacant, disturbance, world)
 
 
-def _comments(arguments: Falsify, file: str, trial: Trial, weights_hash: str) -> list[str]:
-    """What the scenario file of a counterexample says of itself."""
-    perturbation = trial.perturbation
-    weights = "" if arguments.weights == WEIGHTS else " --weights DIR"
-    return [
-        f"{trial.failure}: {perturbation.form}, {trial.moved_deg:.1f} deg, {perturbation.ticks} ticks, "
-        f"in subtask {perturbation.disturbance.subtask}",
-        f"{arguments.policy_path.name} with the hash {weights_hash[:16]}; record {trial.record_hash[:16]}",
-        f"python diagrams/pick_place.py --scenario {file}{weights}",
-    ]
-
-
 def report(found: dict[str, list[Trial]], scenes: list[Episode]) -> dict:
     """Plain types: the counterexamples, smallest first; what each sampler reached; all trials."""
     all_trials = {name: [_plain(name, n, t, scenes) for n, t in enumerate(trials)] for name, trials in found.items()}
-    counterexamples = [case for cases in all_trials.values() for case in cases if case["failure"] is not None]
+    cases = {name: [row for row in rows if row["failure"] is not None] for name, rows in all_trials.items()}
+    counterexamples = [case for rows in cases.values() for case in rows]
 
-    def of_each(measure) -> dict:
-        return {name: measure(trials) for name, trials in found.items()}
+    def count(rows: list[dict], entry: str, values: Sequence[str]) -> dict[str, int]:
+        return {value: sum(row[entry] == value for row in rows) for value in values}
 
     return {
-        "scenes": [
-            {"seed": scene.seed, "can_xy": list(scene.can_xy), "vacant": scene.vacant, "rnn": scene.rnn}
-            for scene in scenes
-        ],
-        "trials": of_each(len),
-        "trials_to_first": of_each(lambda trials: next((n for n, t in enumerate(trials, 1) if t.failure), None)),
-        "smallest_magnitude": of_each(
-            lambda trials: min((t.perturbation.magnitude for t in trials if t.failure), default=None)
-        ),
-        "failures": of_each(lambda trials: {kind: sum(t.failure == kind for t in trials) for kind in DEFEATS}),
-        "forms": of_each(lambda trials: {form: sum(t.perturbation.form == form for t in trials) for form in FORMS}),
-        "undetected_but_done": of_each(
-            lambda trials: sum(t.switch_failure == "not detected" and t.task_done for t in trials)
-        ),
+        "trials": {name: len(rows) for name, rows in all_trials.items()},
+        "trials_to_first": {name: rows[0]["trial"] if rows else None for name, rows in cases.items()},
+        "smallest_magnitude": {
+            name: min((row["magnitude"] for row in rows), default=None) for name, rows in cases.items()
+        },
+        "failures": {name: count(rows, "failure", DEFEATS) for name, rows in cases.items()},
+        "forms": {name: count(rows, "form", FORMS) for name, rows in all_trials.items()},
         "counterexamples": sorted(counterexamples, key=lambda case: (case["magnitude"], case["file"])),
         "all_trials": all_trials,
     }
 
 
 def _plain(name: str, number: int, trial: Trial, scenes: list[Episode]) -> dict:
-    perturbation = trial.perturbation
+    case = trial.perturbation
     return asdict(trial) | {
-        "sampler": name,
-        "trial": number + 1,
-        "file": None if trial.failure is None else file_name(name, number),
-        "scene": scenes[perturbation.scene].seed,
-        "form": perturbation.form,
-        "length_ticks": perturbation.ticks,
-        "magnitude": perturbation.magnitude,
-    }
+        "sampler": name, "trial": number + 1, "file": None if trial.failure is None else file_name(name, number),
+        "scene": scenes[case.scene].seed, "form": case.form, "length_ticks": case.ticks, "magnitude": case.magnitude,
+    }  # fmt: skip

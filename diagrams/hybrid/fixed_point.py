@@ -1,7 +1,5 @@
 """Fixed points of a map z -> F(z), and how fast a perturbation of one decays in simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,8 +20,6 @@ class FixedPoint:
 
     z: np.ndarray
     residual: float  # largest component of F(z) - z
-    steps: int
-    started_after: int  # ticks of the map
 
     @property
     def converged(self) -> bool:
@@ -31,19 +27,16 @@ class FixedPoint:
         return self.residual < RESIDUAL
 
 
-def newton(step: Map, jacobian: Map, start: np.ndarray, started_after: int = 0) -> FixedPoint:
+def newton(step: Map, jacobian: Map, start: np.ndarray) -> FixedPoint:
     """Newton's method on F(z) - z = 0 with step halving; it ends where no step makes the residual smaller.
 
-    Args:
-        step, jacobian: F and its derivative.
-        start: z, (n,).
-        started_after: noted in the result.
+    `step`, `jacobian`: F and its derivative; `start`: z, (n,).
     """
-    z = np.array(start, dtype=float)
+    z = start
     residual = step(z) - z
-    for count in range(NEWTON_STEPS):
+    for _ in range(NEWTON_STEPS):
         if np.max(np.abs(residual)) < RESIDUAL:
-            return FixedPoint(z, float(np.max(np.abs(residual))), count, started_after)
+            break
         direction = np.linalg.lstsq(jacobian(z) - np.eye(len(z)), -residual, rcond=None)[0]
         for share in 0.5 ** np.arange(12):
             candidate = z + share * direction
@@ -53,23 +46,20 @@ def newton(step: Map, jacobian: Map, start: np.ndarray, started_after: int = 0) 
         else:
             break
         z, residual = candidate, after
-    return FixedPoint(z, float(np.max(np.abs(residual))), count + 1, started_after)
+    return FixedPoint(z, float(np.max(np.abs(residual))))
 
 
 def nearest_fixed_point(step: Map, jacobian: Map, origin: np.ndarray, posture_size: int) -> FixedPoint:
     """The fixed point with the posture nearest to that of `origin`, of those found from the orbit that leaves it.
 
-    Args:
-        origin: z, (n,), its last `posture_size` components the posture.
-
-    Returns:
-        The fixed point, or the slowest slow point where there is none.
+    `origin`: z, (n,), its last `posture_size` components the posture. The slowest slow point where there is no fixed
+    one.
     """
-    found, z, k = [], np.array(origin, dtype=float), 0
-    for start in STARTS:
-        while k < start:
-            z, k = step(z), k + 1
-        found.append(newton(step, jacobian, z, start))
+    found, z = [], origin
+    for k in range(STARTS[-1] + 1):
+        if k in STARTS:
+            found.append(newton(step, jacobian, z))
+        z = step(z)
     fixed = [point for point in found if point.converged]
     if not fixed:
         return min(found, key=lambda point: point.residual)
@@ -79,21 +69,18 @@ def nearest_fixed_point(step: Map, jacobian: Map, origin: np.ndarray, posture_si
 def measure_decay(
     step: Map, point: np.ndarray, spectral_radius: float, rng: np.random.Generator
 ) -> tuple[float, np.ndarray]:
-    """Simulates a small random perturbation of `point` (n,), which shrinks, or grows.
+    """Simulates a small random perturbation of `point` (n,), which shrinks, or grows: factor a tick, norms (ticks,).
 
     The perturbed orbit is compared with the one from `point` itself. The factor is fitted by least squares to the
     logarithm of the norm over the second half of the ticks, when the slowest part is left alone; over as many ticks as
     double precision (or, growing, linearity) allows.
-
-    Returns:
-        The factor a tick, and the norms (ticks,).
     """
     rate = max(abs(np.log(max(spectral_radius, 1e-6))), 1e-6)
     # Down from the perturbation to what rounding leaves of it, up to where it is no longer small.
     span = np.log(1e7) if spectral_radius < 1 else np.log(1e3)
     ticks = int(np.clip(span / rate, *DECAY_TICKS))
     direction = rng.normal(size=len(point))
-    reference, orbit = point.copy(), point + PERTURBATION * direction / np.linalg.norm(direction)
+    reference, orbit = point, point + PERTURBATION * direction / np.linalg.norm(direction)
     norms = [PERTURBATION]
     for _ in range(ticks):
         reference, orbit = step(reference), step(orbit)

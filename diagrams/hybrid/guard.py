@@ -5,9 +5,6 @@ once, and the real closed loop (camera, networks, detector, physics) runs on for
 ticks says in which mode that ends: `task` or `return`. Displacements that put the arm into the scene are left out.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -34,44 +31,41 @@ class Guard(NetworkArguments):
 
     LEAST: ClassVar[dict[str, int]] = {"grid": 3, "ticks": 1, "rays": 1}
 
+    def run(self) -> int:
+        """Scans a grid and bisects along rays; returns 0 if both agree within the grid's resolution, else 1."""
+        from tqdm import tqdm
 
-def run(arguments: Guard) -> int:
-    """Scans a grid and bisects along rays; returns 0 if both agree within the grid's resolution, else 1."""
-    from tqdm import tqdm
+        from diagrams.drawing.guard import save_guard
+        from diagrams.episodes.sampling import EpisodeSampler
+        from diagrams.hybrid.guard_probe import GuardProbe
 
-    from diagrams.drawing.guard import save_guard
-    from diagrams.episodes.sampling import EpisodeSampler
-    from diagrams.hybrid.guard_probe import GuardProbe
-
-    if arguments.grid % 2 == 0:
-        raise InputError(f"--grid {arguments.grid} is even, so that 0 would not be on it: choose an odd number")
-    if len(set(arguments.joints)) != 2 or not all(1 <= joint <= ARM_JOINTS for joint in arguments.joints):
-        raise InputError(f"--joints {arguments.joints} are not two different joints: choose from 1 to {ARM_JOINTS}")
-    world = arguments.world()
-    rollout = arguments.rollout(world)
-    episode = EpisodeSampler(world).sample(arguments.seed, "none", rnn=rollout.policy.name)
-    probe = GuardProbe(rollout, episode, arguments.level, arguments.ticks)
-    directions, reach = np.eye(ARM_JOINTS)[[joint - 1 for joint in arguments.joints]], arguments.reach
-    with tqdm(total=arguments.grid**2, desc="grid", unit="point", disable=None) as bar:
-        grid = scan(probe, directions, reach, arguments.grid, bar.update)
-    angles = 2 * np.pi * np.arange(arguments.rays) / arguments.rays
-    bar = tqdm(angles, desc="bisection", unit="ray", disable=None)
-    points = [point for angle in bar if (point := bisect(probe, directions, reach, angle)) is not None]
-    gamma = float(rollout.policy.gamma)
-    setting = {name: getattr(arguments, name) for name in ("joints", "level", "ticks")}
-    found = report(grid, points, gamma) | setting | {"gamma": gamma, "tick_of_the_run": probe.tick}
-    arguments.write("guard", found)
-    title = f"alpha over {arguments.ticks} ticks after a displacement, {arguments.level:.2f} m before the can"
-    save_guard(found, f"{title} (seed {arguments.seed})", arguments.out / "guard.png")
-    if not points:
-        print(f"no ray leaves mode task within {reach} deg: choose a larger --reach")
-        return 1
-    print(
-        f"{len(points)} points of the surface, {found['smallest_detected_deg']:.2f} to "
-        f"{found['largest_on_surface_deg']:.2f} deg from no displacement; off the grid's by at most "
-        f"{found['bisection_error']:.3f} deg (resolution {found['resolution']:.3f})"
-    )
-    return 0 if holds(found) else 1
+        if self.grid % 2 == 0:
+            raise InputError(f"--grid {self.grid} is even, so that 0 would not be on it: choose an odd number")
+        if len(set(self.joints)) != 2 or not all(1 <= joint <= ARM_JOINTS for joint in self.joints):
+            raise InputError(f"--joints {self.joints} are not two different joints: choose from 1 to {ARM_JOINTS}")
+        world = self.world()
+        rollout = self.rollout(world)
+        episode = EpisodeSampler(world).sample(self.seed, "none", rnn=rollout.policy.name)
+        probe = GuardProbe(rollout, episode, self.level, self.ticks)
+        directions = np.eye(ARM_JOINTS)[[joint - 1 for joint in self.joints]]
+        grid = scan(probe, directions, self.reach, self.grid)
+        rays = tqdm(2 * np.pi * np.arange(self.rays) / self.rays, desc="bisection", unit="ray", disable=None)
+        points = [p for angle in rays if (p := bisect(probe, directions, self.reach, angle)) is not None]
+        gamma = float(rollout.policy.gamma)
+        setting = {name: getattr(self, name) for name in ("joints", "level", "ticks")}
+        found = report(grid, points, gamma) | setting | {"gamma": gamma, "tick_of_the_run": probe.tick}
+        self.write("guard", found)
+        title = f"alpha over {self.ticks} ticks after a displacement, {self.level:.2f} m before the can"
+        save_guard(found, f"{title} (seed {self.seed})", self.out / "guard.png")
+        if not points:
+            print(f"no ray leaves mode task within {self.reach} deg: choose a larger --reach")
+            return 1
+        print(
+            f"{len(points)} points of the surface, {found['smallest_detected_deg']:.2f} to "
+            f"{found['largest_on_surface_deg']:.2f} deg from no displacement; off the grid's by at most "
+            f"{found['bisection_error']:.3f} deg (resolution {found['resolution']:.3f})"
+        )
+        return 0 if holds(found) else 1
 
 
 @dataclass(frozen=True)
@@ -88,26 +82,19 @@ class GuardGrid:
         return float(self.coordinates[1] - self.coordinates[0])
 
 
-def scan(
-    probe, directions: np.ndarray, reach: float, count: int, on_point: Callable[[], object] = lambda: None
-) -> GuardGrid:
-    """Evaluates the guard on a square grid.
+def scan(probe, directions: np.ndarray, reach: float, count: int) -> GuardGrid:
+    """The guard on a square grid from -reach to reach (deg), `count` (odd) points a side.
 
-    Args:
-        probe: see GuardProbe (`possible(displacement)`, `probe(displacement) -> (alpha, error)`).
-        directions: (2, 7) unit vectors.
-        reach: the coordinates go from -reach to reach, deg.
-        count: points a side, odd, so that 0 is among them.
-        on_point: called after each point.
+    `probe`: as GuardProbe; `directions`: (2, 7) unit vectors.
     """
+    from tqdm import tqdm
+
     coordinates = np.linspace(-reach, reach, count)
     alpha, error = np.full((2, count, count), np.nan)
-    for j, b in enumerate(coordinates):
-        for i, a in enumerate(coordinates):
-            displacement = np.deg2rad([a, b]) @ directions
-            if probe.possible(displacement):
-                alpha[j, i], error[j, i] = probe(displacement)
-            on_point()
+    for j, i in tqdm(list(np.ndindex(count, count)), desc="grid", unit="point", disable=None):
+        displacement = np.deg2rad(coordinates[[i, j]]) @ directions
+        if probe.possible(displacement):
+            alpha[j, i], error[j, i] = probe(displacement)
     return GuardGrid(coordinates, alpha, error)
 
 
@@ -118,21 +105,19 @@ def bisect(probe, directions: np.ndarray, reach: float, angle: float) -> np.ndar
     """
     ray = np.array([np.cos(angle), np.sin(angle)])
     ray *= reach / np.max(np.abs(ray))
-    high = 1.0
-    # The ray's last possible point: beyond what the arm would touch or be stopped by, nothing counts.
+
+    def at(share: float) -> np.ndarray:
+        return np.deg2rad(share * ray) @ directions
+
+    # The ray ends at its last possible point: beyond what the arm would touch or be stopped by, nothing counts.
     shares = np.linspace(0.0, 1.0, 41)
-    possible = [probe.possible(np.deg2rad(share * ray) @ directions) for share in shares]
-    if not all(possible):
-        high = shares[max(int(np.argmin(possible)) - 1, 0)]
-    low = 0.0
-    if high == 0.0 or probe(np.deg2rad(high * ray) @ directions)[0] < GUARD:
+    first_impossible = int(np.argmin([*(probe.possible(at(share)) for share in shares), False]))
+    low, high = 0.0, shares[max(first_impossible - 1, 0)]
+    if high == 0.0 or probe(at(high))[0] < GUARD:
         return None
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if probe(np.deg2rad(middle * ray) @ directions)[0] < GUARD:
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if probe(at(middle))[0] < GUARD else (low, middle)
     return 0.5 * (low + high) * ray
 
 
@@ -159,18 +144,14 @@ def boundary_distance(lines: list[np.ndarray], point: np.ndarray) -> float:
 def report(grid: GuardGrid, points: list[np.ndarray], gamma: float) -> dict:
     """The grid, the share of the modes, and the bisected points' distance to the grid's surface, deg; plain types."""
     lines = contour(grid, gamma)
-    distances = [boundary_distance(lines, point) for point in points]
     known = np.isfinite(grid.alpha)
     sizes = [float(np.linalg.norm(point)) for point in points]
     return {
         "resolution": grid.resolution,
-        "bisection_error": max(distances, default=None),
+        "bisection_error": max((boundary_distance(lines, point) for point in points), default=None),
         "bisected_points_deg": [point.tolist() for point in points],
-        "bisection_errors": distances,
-        "bisection_precision": float(grid.coordinates[-1] * np.sqrt(2) / 2**BISECTIONS),
         "smallest_detected_deg": min(sizes, default=None),
         "largest_on_surface_deg": max(sizes, default=None),
-        "points": int(grid.alpha.size),
         "impossible": int(np.sum(~known)),
         "share_task": float(np.mean(grid.alpha[known] < GUARD)) if known.any() else None,
         "coordinates_deg": grid.coordinates.tolist(),

@@ -1,15 +1,14 @@
 """One displacement of the arm at one moment of an undisturbed run, in the real closed loop."""
 
-from __future__ import annotations
-
 import numpy as np
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import System
 
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.switching import GUARD
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.names import ARM_JOINTS, CANS
+from diagrams.world.station import controller_limits
 from diagrams.world.task import lifted
 from models.errors import InputError
 
@@ -31,31 +30,25 @@ class GuardProbe:
         self._before = 0.5 * rollout.world.timing.time_step
         rollout.prepare(episode)
         station, simulator = rollout.station, rollout.simulator
-        context = simulator.get_mutable_context()
-        distance = station.GetOutputPort("approach_distance")
         for k in range(round(PATIENCE / self._period)):
             simulator.AdvanceTo((k + 1) * self._period - self._before)
-            if self._alpha(context) >= GUARD:
-                raise InputError(
-                    f"the run is in mode return {context.get_time():.1f} s after its start: choose another --seed"
-                )
-            if distance.Eval(station.GetMyContextFromRoot(context))[0] < level:
+            if self._output(rollout.controller, "alpha")[0] >= GUARD:
+                seconds = simulator.get_context().get_time()
+                raise InputError(f"the run is in mode return {seconds:.1f} s after its start: choose another --seed")
+            if self._output(station, "approach_distance")[0] < level:
                 break
         else:
             raise InputError(
                 f"the hand does not come within {level} m of the can in {PATIENCE:g} s: choose a larger --level"
             )
-        self.tick = k
-        self._kept = context.Clone()
-        plant_context = station.plant.GetMyContextFromRoot(self._kept)
-        self.joints = station.plant.GetPositions(plant_context, station.arm).copy()
-        self._checker = CollisionChecker(gap=0.0)
-        cans = station.GetOutputPort("can_poses").Eval(station.GetMyContextFromRoot(self._kept))
+        self.tick, self._kept = k, simulator.get_context().Clone()
+        self.joints = self._output(station, "posture")[:ARM_JOINTS].copy()
+        cans = self._output(station, "can_poses")
         if lifted(cans):
             raise InputError(f"{CANS[0]} is already in the hand {level} m before it: choose a larger --level")
+        self._checker = CollisionChecker(gap=0.0)
         self._checker.set_scene(cans[4:6], episode.vacant)
-        self._lower = station.plant.GetPositionLowerLimits()[:ARM_JOINTS]
-        self._upper = station.plant.GetPositionUpperLimits()[:ARM_JOINTS]
+        self._lower, self._upper, _ = (limit[:ARM_JOINTS] for limit in controller_limits(station))
 
     def possible(self, displacement: np.ndarray) -> bool:
         """Whether the arm, displaced by `displacement` (7, rad), is within its limits and touches nothing."""
@@ -67,16 +60,14 @@ class GuardProbe:
         """Largest alpha and largest error l_n / r_n over the ticks after a displacement (7, rad)."""
         simulator, station, controller = self._rollout.simulator, self._rollout.station, self._rollout.controller
         simulator.reset_context(self._kept.Clone())
-        context = simulator.get_mutable_context()
-        plant_context = station.plant.GetMyMutableContextFromRoot(context)
+        plant_context = station.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
         station.plant.SetPositions(plant_context, station.arm, self.joints + displacement)
         alphas, errors = [], []
         for k in range(1, self._ticks + 1):
             simulator.AdvanceTo((self.tick + k + 1) * self._period - self._before)
-            alphas.append(self._alpha(context))
-            errors.append(np.max(controller.GetOutputPort("errors").Eval(controller.GetMyContextFromRoot(context))))
-        return max(alphas), float(max(errors))
+            alphas.append(float(self._output(controller, "alpha")[0]))
+            errors.append(float(np.max(self._output(controller, "errors"))))
+        return max(alphas), max(errors)
 
-    def _alpha(self, context: Context) -> float:
-        controller = self._rollout.controller
-        return float(controller.GetOutputPort("alpha").Eval(controller.GetMyContextFromRoot(context))[0])
+    def _output(self, system: System, port: str) -> np.ndarray:
+        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self._rollout.simulator.get_context()))

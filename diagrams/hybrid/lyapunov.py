@@ -1,8 +1,8 @@
 """The Lyapunov function of mode `return`: the Riccati matrix of the LQR on the posture integrator (Sec. III-D)."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -22,7 +22,7 @@ class Lyapunov:
     rate: float  # V[k+1] <= rate V[k] in the ideal loop
 
     @classmethod
-    def of(cls, world: World, units: np.ndarray) -> Lyapunov:
+    def of(cls, world: World, units: np.ndarray) -> Self:
         """From the Riccati equation, the regulator's weights in `units` (7, rad); the gain does not depend on them."""
         weight = np.diag(1.0 / np.asarray(units) ** 2)
         Q, R = world.regulator.state_weight * weight, world.regulator.input_weight * weight
@@ -53,11 +53,11 @@ class Lyapunov:
         largest = np.linalg.norm(root.T @ self.gain @ np.linalg.inv(root.T), 2)
         return float((np.sqrt(self.rate) + eta * largest) ** 2)
 
-    def servo_level(self, starts: np.ndarray, etas: np.ndarray) -> float:
+    def servo_level(self, starts: Sequence[float], etas: Sequence[float]) -> float:
         """Level below which the loop contracted with every tracking error measured, enlarged by the safety factor.
 
-        `starts` (n,): V of the postures, `etas` (n,): their largest relative tracking error. Infinite where all of them
-        leave it contracting.
+        `starts`: V of the postures; `etas`: their largest relative tracking errors. Infinite where all of them leave it
+        contracting.
         """
         too_far = [v for v, eta in zip(starts, etas, strict=True) if self.rate_with(SAFETY_FACTOR * eta) >= 1.0]
         return float(min(too_far, default=np.inf))

@@ -7,8 +7,6 @@ it imagined to what is measured: at the switching point the two should be the sa
 fingers stand (AlphaMixer).
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -24,8 +22,6 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 
 TASK, RETURN = "task", "return"
-SHORT = 0.3  # s: a stay up to that is listed by where it comes
-AT_RESET = 2.0  # s before the last crossing back in which a short stay belongs to it
 
 
 @dataclass
@@ -38,40 +34,38 @@ class Modes(NetworkArguments):
 
     LEAST: ClassVar[dict[str, int]] = {"max_crossings": 0}
 
+    def run(self) -> int:
+        """Measures the automaton; returns 0 if no run shows chatter, else 1."""
+        from diagrams.drawing.automaton import save_automaton
 
-def run(arguments: Modes) -> int:
-    """Measures the automaton; returns 0 if no run shows chatter, else 1."""
-    from diagrams.drawing.automaton import save_automaton
+        world = self.world()
+        paths = find_records(self.records) or [self._run_episode(world)]
+        runs = [mode_sequence(*load_record(path), path.stem, world.initial_posture) for path in paths]
+        found = report(runs, self.max_crossings)
+        self.write("modes", found)
+        save_automaton(found, self.out / "modes.png")
+        print(
+            f"{len(runs)} runs, {found['transitions']['task->return']} switches to the LQR; at most "
+            f"{found['max_crossings_per_second']} crossings in a second (limit {self.max_crossings})"
+        )
+        for mode, dwell in found["dwell_seconds"].items():
+            if dwell["count"]:
+                print(f"dwell in {mode}: {dwell['min']:.1f} to {dwell['max']:.1f} s, median {dwell['median']:.1f} s")
+        return 1 if found["zeno_like"] else 0
 
-    world = arguments.world()
-    paths = find_records(arguments.records) or [_run_episode(arguments, world)]
-    runs = [mode_sequence(*load_record(path), path.stem, world.initial_posture) for path in paths]
-    found = report(runs, arguments.max_crossings)
-    arguments.write("modes", found)
-    save_automaton(found, arguments.out / "modes.png")
-    print(
-        f"{len(runs)} runs, {found['transitions']['task->return']} switches to the LQR; at most "
-        f"{found['max_crossings_per_second']} crossings in a second (limit {arguments.max_crossings})"
-    )
-    for mode, dwell in found["dwell_seconds"].items():
-        if dwell["count"]:
-            print(f"dwell in {mode}: {dwell['min']:.1f} to {dwell['max']:.1f} s, median {dwell['median']:.1f} s")
-    return 1 if found["zeno_like"] else 0
+    def _run_episode(self, world: World) -> Path:
+        """Path of the record of the episode that was run."""
+        from tqdm import tqdm
 
+        from diagrams.episodes.sampling import EpisodeSampler
 
-def _run_episode(arguments: Modes, world: World) -> Path:
-    """Path of the record of the episode that was run."""
-    from tqdm import tqdm
-
-    from diagrams.episodes.sampling import EpisodeSampler
-
-    rollout = arguments.rollout(world)
-    episode = EpisodeSampler(world).sample(arguments.seed, arguments.disturbance, rnn=rollout.policy.name)
-    with tqdm(desc="run", unit="tick", leave=False, disable=None) as bar:
-        outcome, record = rollout.run(episode, on_tick=lambda _: bar.update(), pictures=True)
-    path = arguments.out / f"run-{rollout.policy.name}-{arguments.disturbance}-{arguments.seed}.npz"
-    save_record(path, record, outcome)
-    return path
+        rollout = self.rollout(world)
+        episode = EpisodeSampler(world).sample(self.seed, self.disturbance, rnn=rollout.policy.name)
+        with tqdm(desc="run", unit="tick", leave=False, disable=None) as bar:
+            outcome, record = rollout.run(episode, on_tick=lambda _: bar.update(), pictures=True)
+        path = self.out / f"run-{rollout.policy.name}-{self.disturbance}-{self.seed}.npz"
+        save_record(path, record, outcome)
+        return path
 
 
 @dataclass(frozen=True)
@@ -87,18 +81,6 @@ class Stay:
     def seconds(self) -> float:
         """Dwell time, s."""
         return self.end - self.start
-
-
-@dataclass(frozen=True)
-class Crossing:
-    """The guard crossed at tick `tick`, at `time` (s): the values of alpha of the tick before and of this one."""
-
-    tick: int
-    time: float
-    source: str
-    target: str
-    alpha_before: float
-    alpha_after: float
 
 
 @dataclass(frozen=True)
@@ -120,13 +102,17 @@ class ModeSequence:
     outcome: str  # done, or the kind of failure
     disturbance: str
     modes: list[Stay]
-    crossings: list[Crossing]
     resets: list[Reset]
+
+    @property
+    def crossings(self) -> list[float]:
+        """When the guard is crossed, s: each stay but the first begins so."""
+        return [stay.start for stay in self.modes[1:]]
 
     @property
     def max_crossings_per_second(self) -> int:
         """Most guard crossings within any one second."""
-        return most_within([c.time for c in self.crossings], 1.0)
+        return most_within(self.crossings, 1.0)
 
     @property
     def shortest_stay(self) -> float:
@@ -142,26 +128,18 @@ def most_within(times: list[float], span: float) -> int:
 
 
 def mode_sequence(record: Record, outcome: dict, name: str, initial_posture: np.ndarray) -> ModeSequence:
-    """The modes of the run `record` with the `outcome` that goes with it (see Outcome).
-
-    Args:
-        name: of the run, for the report.
-        initial_posture: (8,) rad and m.
-    """
-    time, alpha = record.time, record.alpha
-    period = float(time[1] - time[0]) if len(time) > 1 else 0.0
-    high = alpha >= GUARD
-    changes = np.flatnonzero(np.diff(high.astype(int))) + 1
-    names = [RETURN if h else TASK for h in high]
-    edges = [0, *changes.tolist(), len(time)]
-    ends = [*time.tolist(), float(time[-1]) + period]
-    stays = [Stay(names[a], ends[a], ends[b], complete=a > 0 and b < len(time)) for a, b in pairwise(edges)]
-    crossings = [
-        Crossing(int(k), float(time[k]), names[k - 1], names[k], float(alpha[k - 1]), float(alpha[k])) for k in changes
+    """The modes of the run `name`, of its `record` and `outcome` (see Outcome); `initial_posture`: (8,) rad and m."""
+    time, high = record.time.tolist(), record.alpha >= GUARD
+    ticks, period = len(time), time[1] - time[0] if len(time) > 1 else 0.0
+    crossed = (np.flatnonzero(np.diff(high)) + 1).tolist()
+    ends = [*time, time[-1] + period]
+    stays = [
+        Stay(RETURN if high[a] else TASK, ends[a], ends[b], complete=a > 0 and b < ticks)
+        for a, b in pairwise([0, *crossed, ticks])
     ]
-    resets = [_reset(record, int(k), initial_posture) for k in changes if not high[k] and k + 1 < len(time)]
+    resets = [_reset(record, k, initial_posture) for k in crossed if not high[k] and k + 1 < ticks]
     result = "done" if outcome["success"] else str(outcome["failure"])
-    return ModeSequence(name, result, outcome["disturbance"], stays, crossings, resets)
+    return ModeSequence(name, result, outcome["disturbance"], stays, resets)
 
 
 def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
@@ -178,41 +156,14 @@ def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
     )
 
 
-def short_stays(runs: list[ModeSequence]) -> dict[str, int]:
-    """How many stays between two crossings last at most SHORT, by where they come.
-
-    `reset`: within AT_RESET before the run's last crossing back to `task`, or in `task` right after it; `onset`: the
-    first stay in `return`, or within AT_RESET of the first crossing; `between`: any other.
-    """
-    found = {"onset": 0, "reset": 0, "between": 0}
-    for run in runs:
-        back = [c.time for c in run.crossings if c.target == TASK]
-        for stay in run.modes:
-            if not stay.complete or stay.seconds > SHORT + 1e-9:
-                continue
-            if stay.start - run.crossings[0].time < AT_RESET:
-                found["onset"] += 1
-            elif back and -AT_RESET <= stay.start - back[-1] <= 1e-9:
-                found["reset"] += 1
-            else:
-                found["between"] += 1
-    return found
-
-
 def report(runs: list[ModeSequence], limit: int) -> dict:
-    """The automaton measured on `runs`, as plain types.
+    """The automaton measured on `runs`, as plain types; more crossings than `limit` in any second are chatter.
 
-    `limit`: more crossings than this in any second are chatter. `dwell_seconds` is over stays that begin and end with a
-    crossing; the ones that the run's start or end cuts off are in `cut_off_seconds`.
+    `dwell_seconds` is over the stays that begin and end with a crossing, not those that an end of the run cuts off.
     """
-    stays = [stay for run in runs for stay in run.modes]
-    transitions = Counter(f"{crossing.source}->{crossing.target}" for run in runs for crossing in run.crossings)
+    stays = [stay for run in runs for stay in run.modes if stay.complete]
+    entered = Counter(stay.mode for run in runs for stay in run.modes[1:])
     nearest = sorted(runs, key=lambda run: (-run.max_crossings_per_second, run.shortest_stay))
-
-    def dwell(complete: bool) -> dict:
-        seconds = {m: [s.seconds for s in stays if s.mode == m and s.complete is complete] for m in (TASK, RETURN)}
-        return {mode: _spread(values) for mode, values in seconds.items()}
-
     return {
         "runs": len(runs),
         "max_crossings_per_second": nearest[0].max_crossings_per_second,
@@ -223,10 +174,8 @@ def report(runs: list[ModeSequence], limit: int) -> dict:
              "max_crossings_per_second": run.max_crossings_per_second, "shortest_stay_s": run.shortest_stay}
             for run in nearest[:5]
         ],
-        "dwell_seconds": dwell(True),
-        "cut_off_seconds": dwell(False),
-        "short_stays": {"up_to_seconds": SHORT} | short_stays(runs),
-        "transitions": {key: transitions[key] for key in (f"{TASK}->{RETURN}", f"{RETURN}->{TASK}")},
+        "dwell_seconds": {m: _spread([stay.seconds for stay in stays if stay.mode == m]) for m in (TASK, RETURN)},
+        "transitions": {f"{TASK}->{RETURN}": entered[RETURN], f"{RETURN}->{TASK}": entered[TASK]},
         "final_modes": {m: sum(run.modes[-1].mode == m for run in runs) for m in (TASK, RETURN)},
         "outcomes": dict(sorted(Counter(run.outcome for run in runs).items())),
         "resets": {

@@ -12,13 +12,13 @@ is recalled (`alpha` in the report measures it).
     m+    = mixer(m, clip(y), regulator(m), alpha = 0)      Eq. 3: Drake's systems, Jacobian by AutoDiffXd
 """
 
-from __future__ import annotations
-
 import copy
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from pydrake.systems.framework import System
 
 from diagrams.hybrid.return_loop import regulated_mixer
 from diagrams.world.configuration import World
@@ -40,20 +40,15 @@ class OneTickMap:
         if len(features) != self.rnn.feature_size:
             raise InputError(f"{len(features)} features do not fit the network, which takes {self.rnn.feature_size}")
         self._features = torch.tensor(np.asarray(features), dtype=torch.float64)
-        self._law = regulated_mixer(world, PickPlaceStation(world, camera=False), stored.scaling)
-        self._law_context = self._law.CreateDefaultContext()
-        self._law_ad = self._law.ToAutoDiffXd()
-        self._law_ad_context = self._law_ad.CreateDefaultContext()
-        for law, context in ((self._law, self._law_context), (self._law_ad, self._law_ad_context)):
-            for port in ("alpha", "last_alphas"):
-                law.GetInputPort(port).FixValue(context, np.zeros(1))
+        law = regulated_mixer(world, PickPlaceStation(world, camera=False), stored.scaling)
+        self._command, self._command_ad = _command_of(law), _command_of(law.ToAutoDiffXd())
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
         """One tick: z (S + 8,) to z+."""
         with torch.no_grad():
             out = self._policy(torch.from_numpy(z)).numpy()
         c, y = out[: self.state_size], out[self.state_size :]
-        return np.concatenate((c, _command(self._law, self._law_context, z[self.state_size :], y)))
+        return np.concatenate((c, self._command(z[self.state_size :], y)))
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """dz+/dz (S + 8, S + 8) at z."""
@@ -63,19 +58,15 @@ class OneTickMap:
         with torch.no_grad():
             y = self._policy(point).numpy()[S:]
         both = InitializeAutoDiff(np.concatenate((z[S:], y)))[:, 0]
-        gradient = ExtractGradient(_command(self._law_ad, self._law_ad_context, both[:size], both[size:]))
+        gradient = ExtractGradient(self._command_ad(both[:size], both[size:]))
         lower = gradient[:, size:] @ policy[S:]
         lower[:, S:] += gradient[:, :size]
         return np.vstack((policy[:S], lower))
 
     def difference_jacobian(self, z: np.ndarray) -> np.ndarray:
         """The same by central differences of the map."""
-        columns = []
-        for i in range(len(z)):
-            offset = np.zeros(len(z))
-            offset[i] = DIFFERENCE
-            columns.append((self(z + offset) - self(z - offset)) / (2 * DIFFERENCE))
-        return np.array(columns).T
+        offsets = DIFFERENCE * np.eye(len(z))
+        return np.column_stack([(self(z + offset) - self(z - offset)) / (2 * DIFFERENCE) for offset in offsets])
 
     def _policy(self, z: torch.Tensor) -> torch.Tensor:
         """z to [c+, clipped posture prediction], differentiable."""
@@ -84,7 +75,15 @@ class OneTickMap:
         return torch.cat((after[0], y[0, : self.posture_size].clamp(-1.0, 1.0)))
 
 
-def _command(law, context, posture: np.ndarray, prediction: np.ndarray) -> np.ndarray:
-    law.GetInputPort("posture").FixValue(context, posture)
-    law.GetInputPort("predicted_posture").FixValue(context, prediction)
-    return law.GetOutputPort("desired_posture").Eval(context).copy()
+def _command_of(law: System) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """m+ as a function of m and y, in the scalar type of `law`."""
+    context = law.CreateDefaultContext()
+    for port in ("alpha", "last_alphas"):
+        law.GetInputPort(port).FixValue(context, np.zeros(1))
+
+    def command(posture: np.ndarray, prediction: np.ndarray) -> np.ndarray:
+        law.GetInputPort("posture").FixValue(context, posture)
+        law.GetInputPort("predicted_posture").FixValue(context, prediction)
+        return law.GetOutputPort("desired_posture").Eval(context).copy()
+
+    return command

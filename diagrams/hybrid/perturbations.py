@@ -9,11 +9,9 @@ the scene is none.
 What is minimised: the magnitude in [0, 1] where the controller is defeated, else 1 + its margin in [0, 1].
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -68,7 +66,7 @@ class NominalRun:
     commands: np.ndarray  # (n, 7) the command that holds at that tick, rad
 
     @classmethod
-    def of(cls, record: Record, hand: HandKinematics, place: np.ndarray) -> NominalRun:
+    def of(cls, record: Record, hand: HandKinematics, place: np.ndarray) -> Self:
         """From an undisturbed run's record; `place` (3,): centre of the can on its spot, m, world."""
         can = record.can_poses[:, 4:7]
         grasp = np.array([hand.grasp_position(joints[:ARM_JOINTS]) for joints in record.posture])
@@ -91,10 +89,8 @@ class PerturbationSpace:
         hand = HandKinematics(self._home)
         self._lower, self._upper = hand.lower + LIMIT_MARGIN, hand.upper - LIMIT_MARGIN
         self._checker = CollisionChecker()
-        self.runs = [
-            NominalRun.of(record, hand, self._checker.spot(scene.vacant))
-            for scene, record in zip(scenes, records, strict=True)
-        ]
+        places = [self._checker.spot(scene.vacant) for scene in scenes]
+        self.runs = [NominalRun.of(record, hand, place) for record, place in zip(records, places, strict=True)]
 
     def propose(self, suggest: Any) -> Perturbation | None:
         """What a sampler proposes; None where no experimenter could do it.
@@ -115,21 +111,19 @@ class PerturbationSpace:
         subtask = 1 if moment < 0.5 else 2
         earliest, latest = ONSET_LEVELS[subtask][::-1]
         level = float(earliest + (latest - earliest) * (2.0 * moment % 1.0))
-        if form == "deflected":
-            # Nothing along no direction.
+        offset = np.zeros(ARM_JOINTS)
+        if form == "deflected":  # by nothing where there is no direction
             offset = np.deg2rad(size) * direction / max(float(np.linalg.norm(direction)), 1e-9)
-            target = self._target(scene, subtask, level, offset)
-            disturbance = Disturbance("A", level, None if target is None else target.tolist(), hold, subtask)
-        else:
-            size = 0.0
-            target = self._target(scene, subtask, level, np.zeros(ARM_JOINTS))
-            if form == "stopped" or subtask == 1:  # before subtask 2 there is no can in the hand
-                disturbance = Disturbance("B", level, None, max(hold, 1), subtask)
-            else:
-                corner, opposite = self._grid
-                moved = corner + place * (opposite - corner)
-                disturbance = Disturbance("B", level, None, max(hold, CAN_TAKEN_TICKS), subtask, moved.tolist())
-        return None if target is None else Perturbation(scene, disturbance, size)
+        target = self._target(scene, subtask, level, offset)
+        if target is None:
+            return None
+        if form == "deflected":
+            return Perturbation(scene, Disturbance("A", level, target.tolist(), hold, subtask), size)
+        if form == "stopped" or subtask == 1:  # before subtask 2 there is no can in the hand
+            return Perturbation(scene, Disturbance("B", level, None, max(hold, 1), subtask), 0.0)
+        corner, opposite = self._grid
+        moved = (corner + place * (opposite - corner)).tolist()
+        return Perturbation(scene, Disturbance("B", level, None, max(hold, CAN_TAKEN_TICKS), subtask, moved), 0.0)
 
     def _target(self, scene: int, subtask: int, level: float, offset: np.ndarray) -> np.ndarray | None:
         """(7,) rad: where the arm is moved by `offset` (7, rad); None where that is no perturbation."""
@@ -149,14 +143,9 @@ class PerturbationSpace:
 def judge(
     perturbation: Perturbation, outcome: Outcome, record: Record, period: float, gamma: float
 ) -> tuple[str | None, float]:
-    """The kind of defeat (None without one) and what is minimised.
-
-    `gamma`: the threshold of the record's errors; `period` in s.
-    """
-    failure = outcome.switch_failure if outcome.switch_failure in DEFEATS else None
-    if failure == "not detected" and outcome.success:
-        failure = None
-    if failure is not None:
+    """The kind of defeat (None without one) and what is minimised; `gamma`: threshold of the errors; `period`: s."""
+    failure = outcome.switch_failure
+    if failure in DEFEATS and not (failure == "not detected" and outcome.success):
         return failure, perturbation.magnitude
     margins = [1.0]
     active = np.flatnonzero(record.active)

@@ -1,7 +1,5 @@
 """The closed loop in mode `return` on the full plant: servo, effort limits, gravity, contact; no camera, no network."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -19,22 +17,19 @@ TIME_LIMIT = 10.0  # s: an arm that is not at home by then has failed
 TICKS_AT_HOME = 5  # simulated beyond the arrival, for V
 
 
-def regulated_mixer(world: World, station: PickPlaceStation, scaling: MinMaxScaling | None = None) -> RegulatedMixer:
-    """The LQR and Eq. 3 for the arm of `station`, in the units of `scaling`; without one in rad and m."""
+def regulated_mixer(world: World, station: PickPlaceStation, scaling: MinMaxScaling) -> RegulatedMixer:
+    """The LQR and Eq. 3 for the arm of `station`, in the units of `scaling`."""
     lower, upper, speed = controller_limits(station)
-    postures = [world.initial_posture, lower, upper]
-    initial, lower, upper = postures if scaling is None else map(scaling.scale, postures)
-    step = speed * world.timing.period
     return RegulatedMixer(
-        posture_size=len(step),
+        posture_size=len(lower),
         joints=ARM_JOINTS,
-        initial_posture=initial,
+        initial_posture=scaling.scale(world.initial_posture),
         Q=world.regulator.state_weight,
         R=world.regulator.input_weight,
         period=world.timing.period,
-        lower=lower,
-        upper=upper,
-        max_step=step if scaling is None else step / scaling.half_range,
+        lower=scaling.scale(lower),
+        upper=scaling.scale(upper),
+        max_step=speed * world.timing.period / scaling.half_range,
     )
 
 
@@ -48,7 +43,8 @@ class ReturnLoop:
         initial, period = world.initial_posture, world.timing.period
         history = PostureHistory(posture_size=len(initial), horizon=1, period=period, initial_posture=initial)
         builder.AddNamedSystem("posture_history", history)
-        mixer = builder.AddNamedSystem("regulated_mixer", regulated_mixer(world, self.station))
+        physical = MinMaxScaling(-np.ones(len(initial)), np.ones(len(initial)))  # rad and m as they are
+        mixer = builder.AddNamedSystem("regulated_mixer", regulated_mixer(world, self.station, physical))
         alpha = builder.AddNamedSystem("alpha", ConstantVectorSource(np.ones(1)))
         builder.Connect(self.station.GetOutputPort("posture"), history.GetInputPort("posture"))
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say
@@ -62,8 +58,7 @@ class ReturnLoop:
     def run(self, joints: np.ndarray, can_xy: np.ndarray, vacant: str) -> tuple[np.ndarray, str | None]:
         """Runs home from rest at `joints` (7, rad), until a little after the arrival, or to the time limit.
 
-        Returns:
-            (n, 7) joint angles at the ticks, rad, and what Drake said where the simulation diverged, else None.
+        Returns (n, 7) joint angles at the ticks, rad, and what Drake said where the simulation diverged, else None.
         """
         station, period = self.station, self.world.timing.period
         self.simulator.reset_context(self.diagram.CreateDefaultContext())

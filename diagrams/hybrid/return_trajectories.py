@@ -1,9 +1,5 @@
 """Trajectories home from many postures, over worker processes; one broken off goes on where it was."""
 
-from __future__ import annotations
-
-import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +13,6 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, SPOTS
 from diagrams.world.task import at_home
 
-CHUNK = 25  # postures a job, and a row of the store
-
 
 @dataclass(frozen=True)
 class Sample:
@@ -27,6 +21,11 @@ class Sample:
     joints: np.ndarray  # (7,) rad
     can_xy: np.ndarray  # (2,) m, world
     vacant: str
+
+    @property
+    def key(self) -> str:
+        """Of its row in the store."""
+        return f"{self.joints.tolist()} {self.can_xy.tolist()} {self.vacant}"
 
 
 @dataclass(frozen=True)
@@ -50,20 +49,16 @@ def sample_postures(
     count: int,
     rng: np.random.Generator,
     outside: tuple[np.ndarray, np.ndarray] | None = None,
-) -> tuple[list[Sample], int]:
+) -> list[Sample]:
     """`count` samples inside the level set, or (uniform within the limits `outside`, (7,) each, rad) outside of it.
 
     A posture in which the arm is inside the desk, the shelf or a can is none: it is sampled again.
-
-    Returns:
-        The samples, and how many were no posture.
     """
     from tqdm import tqdm
 
     checker, home = CollisionChecker(gap=0.0), world.initial_posture[:ARM_JOINTS]
     corner, opposite = world.grid.bounds
     samples: list[Sample] = []
-    impossible = 0
     title = f"sample {'inside' if outside is None else 'outside'}"
     with tqdm(total=count, desc=title, leave=False, disable=None) as bar:
         while len(samples) < count:
@@ -75,52 +70,31 @@ def sample_postures(
                     continue
             sample = Sample(joints, rng.uniform(corner, opposite), str(rng.choice(SPOTS)))
             checker.set_scene(sample.can_xy, sample.vacant)
-            if checker.first_touch(joints) is not None:
-                impossible += 1
-                continue
-            samples.append(sample)
-            bar.update()
-    return samples, impossible
+            if checker.first_touch(joints) is None:
+                samples.append(sample)
+                bar.update()
+    return samples
 
 
-@dataclass(frozen=True)
-class Job:
-    """The samples of one row of the store."""
-
-    world: World
-    samples: Sequence[Sample]
-
-    @property
-    def key(self) -> str:
-        """Of the row: a hash of the samples."""
-        total = hashlib.sha256()
-        for sample in self.samples:
-            total.update(sample.joints.tobytes() + sample.can_xy.tobytes() + sample.vacant.encode())
-        return total.hexdigest()[:24]
-
-
-def run_job(job: Job) -> list[Trajectory]:
-    """The trajectory of each sample; the diagram is built once in a process."""
-    loop = kept_in_thread(("return loop", repr(job.world)), lambda: ReturnLoop(job.world))
+def run_job(job: tuple[World, Sample]) -> Trajectory:
+    """The trajectory of a sample; the diagram is built once in a process."""
+    world, sample = job
+    loop = kept_in_thread(("return loop", repr(world)), lambda: ReturnLoop(world))
     checker = kept_in_thread("checker", CollisionChecker)
-    home, found = job.world.initial_posture[:ARM_JOINTS], []
-    for sample in job.samples:
-        checker.set_scene(sample.can_xy, sample.vacant)
-        touches = checker.path_touches(sample.joints, home)
-        rows, broke_off = loop.run(sample.joints, sample.can_xy, sample.vacant)
-        found.append(Trajectory(rows, touches, broke_off))
-    return found
+    checker.set_scene(sample.can_xy, sample.vacant)
+    touches = checker.path_touches(sample.joints, world.initial_posture[:ARM_JOINTS])
+    rows, broke_off = loop.run(sample.joints, sample.can_xy, sample.vacant)
+    return Trajectory(rows, touches, broke_off)
 
 
 def trajectories_home(world: World, samples: list[Sample], pool: Pool, store: RowStore, title: str) -> list[Trajectory]:
     """The trajectory of each sample, in their order; what is in the store is not run again; `title`: of the bar."""
     from tqdm import tqdm
 
-    jobs = [Job(world, samples[i : i + CHUNK]) for i in range(0, len(samples), CHUNK)]
-    missing = [job for job in jobs if job.key not in store.rows]
-    known = len(samples) - sum(len(job.samples) for job in missing)
+    missing = [(world, sample) for sample in samples if sample.key not in store.rows]
+    known = len(samples) - len(missing)
     with tqdm(total=len(samples), initial=known, desc=title, unit="posture", disable=None) as bar:
-        for job, found in pool.run(run_job, missing):
-            store.add(job.key, [[t.rows.tolist(), t.touches, t.broke_off] for t in found])
-            bar.update(len(found))
-    return [Trajectory(np.array(rows), *words) for job in jobs for rows, *words in store.rows[job.key]]
+        for (_, sample), found in pool.run(run_job, missing):
+            store.add(sample.key, [found.rows.tolist(), found.touches, found.broke_off])
+            bar.update()
+    return [Trajectory(np.array(rows), *words) for rows, *words in (store.rows[sample.key] for sample in samples)]

@@ -1,11 +1,10 @@
 """Searches for the smallest perturbation that defeats the controller: Optuna's samplers with the same budget."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from diagrams.hybrid.perturbations import Perturbation, judge
 from diagrams.world.disturbance import Disturbance
 from diagrams.world.names import ARM_JOINTS
 
-SAMPLERS = ("tpe", "cmaes", "random")
+SAMPLERS = {"tpe": "TPESampler", "cmaes": "CmaEsSampler", "random": "RandomSampler"}  # Optuna's classes
 ASKS_PER_TRIAL = 50  # proposals that are no perturbation are told so; after that many a search gives up
 
 Propose = Callable[[Any], Perturbation | None]  # see PerturbationSpace.propose
@@ -31,12 +30,11 @@ class Trial:
     switch_failure: str | None
     task_done: bool
     objective: float
-    detection_delay_s: float | None
     moved_deg: float  # norm of the move from the command at the onset, as it came
     record_hash: str
 
     @classmethod
-    def of(cls, perturbation: Perturbation, outcome: Outcome, record: Record, gamma: float) -> Trial:
+    def of(cls, perturbation: Perturbation, outcome: Outcome, record: Record, gamma: float) -> Self:
         """`gamma`: the threshold of the record's errors."""
         failure, objective = judge(perturbation, outcome, record, float(record.time[1] - record.time[0]), gamma)
         moved, target = 0.0, perturbation.disturbance.target
@@ -44,11 +42,11 @@ class Trial:
         if target is not None and len(active) and active[0] > 0:
             before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
             moved = float(np.rad2deg(np.linalg.norm(np.array(target) - before)))
-        done, delay = bool(outcome.success), outcome.detection_delay_s
-        return cls(perturbation, failure, outcome.switch_failure, done, objective, delay, moved, record_hash(record))
+        done, switch_failure = bool(outcome.success), outcome.switch_failure
+        return cls(perturbation, failure, switch_failure, done, objective, moved, record_hash(record))
 
     @classmethod
-    def of_row(cls, row: dict[str, Any]) -> Trial:
+    def of_row(cls, row: dict[str, Any]) -> Self:
         """From a row of the store: what `asdict` made of a trial."""
         given = row["perturbation"]
         perturbation = Perturbation(**given | {"disturbance": Disturbance(**given["disturbance"])})
@@ -59,9 +57,8 @@ def make_sampler(name: str, seed: int):
     """Optuna's sampler of SAMPLERS."""
     from optuna import samplers
 
-    classes = {"tpe": samplers.TPESampler, "cmaes": samplers.CmaEsSampler, "random": samplers.RandomSampler}
     # Seeds of their own: TPE begins as random search does.
-    return classes[name](seed=len(SAMPLERS) * seed + SAMPLERS.index(name))
+    return getattr(samplers, SAMPLERS[name])(seed=len(SAMPLERS) * seed + list(SAMPLERS).index(name))
 
 
 def search(sampler, propose: Propose, run: Callable[[int, Perturbation], Trial], trials: int) -> list[Trial]:
@@ -93,7 +90,7 @@ def search_all(
     trials: int,
     seed: int,
     store: RowStore,
-    samplers: Iterable[str] = SAMPLERS,
+    samplers: Collection[str] = SAMPLERS,
     on_trial: Callable[[str, int, Trial], object] = lambda name, number, trial: None,
 ) -> dict[str, list[Trial]]:
     """One search for each of `samplers`, each with `trials` of its own, at the same time.
@@ -104,39 +101,27 @@ def search_all(
     """
     from tqdm import tqdm
 
-    samplers, found, errors = tuple(samplers), dict[str, list[Trial]](), list[Exception]()
     lock = threading.Lock()
+    bar = tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None)
 
     def guarded(suggest: Any) -> Perturbation | None:
         with lock:
             return propose(suggest)
 
-    with tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None) as bar:
+    def one(name: str) -> list[Trial]:
+        def known_or_run(number: int, perturbation: Perturbation) -> Trial:
+            key = repr(perturbation)
+            new = key not in store.rows
+            trial = run(perturbation) if new else Trial.of_row(store.rows[key])
+            with lock:
+                if new:
+                    store.add(key, asdict(trial))
+                bar.update()
+                on_trial(name, number, trial)
+            return trial
 
-        def one(name: str) -> None:
-            def known_or_run(number: int, perturbation: Perturbation) -> Trial:
-                key = f"{name} {number}"
-                known = store.rows.get(key)
-                trial = None if known is None else Trial.of_row(known)
-                if trial is None or trial.perturbation != perturbation:
-                    trial, known = run(perturbation), None
-                with lock:
-                    if known is None:
-                        store.add(key, asdict(trial))
-                    bar.update()
-                    on_trial(name, number, trial)
-                return trial
+        return search(make_sampler(name, seed), guarded, known_or_run, trials)
 
-            try:
-                found[name] = search(make_sampler(name, seed), guarded, known_or_run, trials)
-            except Exception as error:
-                errors.append(error)
-
-        threads = [threading.Thread(target=one, args=(name,)) for name in samplers]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    if errors:
-        raise errors[0]
-    return {name: found[name] for name in samplers}
+    with bar, ThreadPoolExecutor(len(samplers)) as threads:
+        searches = {name: threads.submit(one, name) for name in samplers}
+    return {name: future.result() for name, future in searches.items()}

@@ -1,7 +1,6 @@
 """Every state of the hybrid system: which system owns it, how large it is, how often it changes."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 from pydrake.systems.framework import Context, Diagram, System
@@ -15,66 +14,54 @@ KINDS = ("continuous", "discrete", "abstract")
 class States(NetworkArguments):
     """Every state of the hybrid system, and that they are all; and the graph of the diagram."""
 
+    def run(self) -> int:
+        """Lists the states; returns 0 if their sums are those of the root Context, else 1."""
+        from diagrams.drawing.graph import save_graph
+        from diagrams.episodes.sampling import EpisodeSampler
 
-def run(arguments: States) -> int:
-    """Lists the states; returns 0 if their sums are those of the root Context, else 1."""
-    from diagrams.drawing.graph import save_graph
-    from diagrams.episodes.sampling import EpisodeSampler
-
-    world = arguments.world()
-    rollout = arguments.rollout(world)
-    rollout.prepare(EpisodeSampler(world).sample(arguments.seed, "none", rnn=rollout.policy.name))
-    found = report(rollout.diagram, rollout.simulator.get_context())
-    arguments.write("states", found)
-    for form in ("svg", "png"):
-        save_graph(rollout.diagram, arguments.out / f"graph.{form}")
-    print(table(found))
-    return 0 if found["agree"] else 1
+        world = self.world()
+        rollout = self.rollout(world)
+        rollout.prepare(EpisodeSampler(world).sample(self.seed, "none", rnn=rollout.policy.name))
+        found = report(rollout.diagram, rollout.simulator.get_context())
+        self.write("states", found)
+        for form in ("svg", "png"):
+            save_graph(rollout.diagram, self.out / f"graph.{form}")
+        print(table(found))
+        return 0 if found["agree"] else 1
 
 
 @dataclass(frozen=True)
 class State:
-    """One state: `owner` is the system's path in the root Diagram, `index` counts the owner's states of that kind.
-
-    `size`: numbers of a continuous or discrete state, 1 for an abstract one; `period`: s, None where the system
-    declares no single one.
-    """
+    """One state: `owner` is the system's path in the root Diagram, `index` counts the owner's states of that kind."""
 
     owner: str
     system: str
     kind: str
     index: int
-    size: int
-    period: float | None
+    size: int  # numbers of a continuous or discrete state, 1 for an abstract one
+    period: float | None  # s; None where the system declares no single one
 
 
-def inventory(diagram: Diagram, context: Context) -> list[State]:
-    """All states of `diagram` (a root) in its `context`, in the order of the diagram."""
-    found: list[State] = []
-    _collect(diagram, context, "", found)
-    return found
-
-
-def _collect(system: System, root: Context, path: str, found: list[State]) -> None:
+def states_of(system: System, root: Context, path: str = "") -> Iterator[State]:
+    """The states in `system`, in the order of the diagram; `root`: Context of the root Diagram."""
     if isinstance(system, Diagram):
         for part in system.GetSystems():
-            _collect(part, root, f"{path}/{part.get_name()}" if path else part.get_name(), found)
+            yield from states_of(part, root, f"{path}/{part.get_name()}".lstrip("/"))
         return
-    context = system.GetMyContextFromRoot(root)
-    name = type(system).__name__
+    context, name = system.GetMyContextFromRoot(root), type(system).__name__
     timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
     period = None if timing is None else float(timing.period_sec())
     if context.num_continuous_states():
-        found.append(State(path, name, "continuous", 0, context.num_continuous_states(), None))
+        yield State(path, name, "continuous", 0, context.num_continuous_states(), None)
     for i in range(context.num_discrete_state_groups()):
-        found.append(State(path, name, "discrete", i, context.get_discrete_state(i).size(), period))
+        yield State(path, name, "discrete", i, context.get_discrete_state(i).size(), period)
     for i in range(context.num_abstract_states()):
-        found.append(State(path, name, "abstract", i, 1, None))
+        yield State(path, name, "abstract", i, 1, None)
 
 
 def report(diagram: Diagram, context: Context) -> dict:
     """The list, its sums, those of the root Context, and whether they agree; plain types."""
-    states = inventory(diagram, context)
+    states = list(states_of(diagram, context))
     sums = {kind: sum(state.size for state in states if state.kind == kind) for kind in KINDS}
     sums["discrete_groups"] = sum(state.kind == "discrete" for state in states)
     groups = context.num_discrete_state_groups()
@@ -95,8 +82,6 @@ def table(found: dict) -> str:
         rows.append((s["owner"], s["system"], s["kind"], str(s["size"]), period))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    sums = ", ".join(f"{found['sums'][kind]} {kind}" for kind in KINDS)
-    verdict = "agrees" if found["agree"] else "does not agree"
-    return "\n".join(
-        [*lines, f"together {sums}, in {found['sums']['discrete_groups']} groups; the root Context {verdict}"]
-    )
+    sums, verdict = found["sums"], "agrees" if found["agree"] else "does not agree"
+    together = ", ".join(f"{sums[kind]} {kind}" for kind in KINDS)
+    return "\n".join([*lines, f"together {together}, in {sums['discrete_groups']} groups; the root Context {verdict}"])

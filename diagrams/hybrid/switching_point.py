@@ -3,15 +3,12 @@
 What is held, and what the map leaves out: see one_tick_map.py.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.hybrid.common import Arguments
@@ -42,57 +39,55 @@ class Linearize(Arguments):
     policies: list[Path] = field(default_factory=lambda: [WEIGHTS / "lstm.safetensors"])  # policy files to compare
     encoder: Path = WEIGHTS / ENCODER  # autoencoder file
     samples: int = 10  # perturbations simulated for each network and subtask
-    can: list[float] = field(default_factory=lambda: [0.53, 0.0])  # X Y, m, world
+    can: tuple[float, float] = (0.53, 0.0)  # X Y, m, world
     vacant: str = "left"  # spot on the shelf: left or right
 
     LEAST: ClassVar[dict[str, int]] = {"samples": 1}
 
+    def run(self) -> int:
+        """Analyses each policy before each subtask; returns 0 if Jacobians and decays are as predicted, else 1."""
+        from tqdm import tqdm
 
-def run(arguments: Linearize) -> int:
-    """Analyses each policy before each subtask; returns 0 if Jacobians and decays are as predicted, else 1."""
-    from tqdm import tqdm
+        from diagrams.drawing.spectra import save_spectra
+        from diagrams.episodes.sampling import EpisodeSampler
+        from models.files.weights import file_hash, load_policy
+        from models.inference import Encoder
 
-    from diagrams.drawing.spectra import save_spectra
-    from diagrams.episodes.sampling import EpisodeSampler
-    from models.files.weights import file_hash, load_policy
-    from models.inference import Encoder
-
-    if len(arguments.can) != 2 or arguments.vacant not in SPOTS:
-        raise InputError(f"--can takes X and Y, --vacant one of {', '.join(SPOTS)}")
-    can_xy = arguments.can[0], arguments.can[1]
-    world, encoder = arguments.world(), Encoder(arguments.encoder)
-    EpisodeSampler(world).require_reachable(can_xy)
-    policies = [(path, load_policy(path)) for path in arguments.policies]
-    for path, stored in policies:
-        require_trained_for(world, stored)
-        if stored.encoder_hash != encoder.hash:
-            raise InputError(
-                f"{path} was trained with another encoder than {arguments.encoder}: give that one with --encoder"
+        if self.vacant not in SPOTS:
+            raise InputError(f"there is no spot {self.vacant}: choose --vacant one of {', '.join(SPOTS)}")
+        world, encoder = self.world(), Encoder(self.encoder)
+        EpisodeSampler(world).require_reachable(self.can)
+        policies = [(path, load_policy(path)) for path in self.policies]
+        for path, stored in policies:
+            require_trained_for(world, stored)
+            if stored.encoder_hash != encoder.hash:
+                raise InputError(
+                    f"{path} was trained with another encoder than {self.encoder}: give that one with --encoder"
+                )
+        images = subtask_images(world, encoder, self.can, self.vacant)
+        cases, pictures = [], []
+        jobs = [(path, stored, image) for path, stored in policies for image in images]
+        for path, stored, image in tqdm(jobs, desc="linearize", unit="case", disable=None):
+            found, norms = analyse(world, stored, image, samples=self.samples, seed=self.seed)
+            state_weight = stored.metadata.get("training", {}).get("state_weight")
+            name = {"policy": path.name, "hash": file_hash(path), "rnn": stored.rnn.name, "state_weight": state_weight}
+            cases.append(name | found | {"eigenvalues": found["eigenvalues"][:WRITTEN_EIGENVALUES]})
+            pictures.append((f"{path.stem}, subtask {image.subtask}", found["eigenvalues"], norms))
+            print(
+                f"{path.name}, subtask {found['subtask']}: {found['kind']} {found['distance_deg']:.2f} deg from the "
+                f"initial posture, spectral radius {found['spectral_radius']:.4f}; factor a tick predicted "
+                f"{found['decay_predicted']:.4f}, simulated {found['decay_measured']:.4f}; "
+                f"Jacobian off by {found['jacobian_error']:.1e}",
+                flush=True,
             )
-    images = subtask_images(world, encoder, can_xy, arguments.vacant)
-    cases, pictures = [], []
-    jobs = [(path, stored, image) for path, stored in policies for image in images]
-    for path, stored, image in tqdm(jobs, desc="linearize", unit="case", disable=None):
-        found, norms = analyse(world, stored, image, samples=arguments.samples, seed=arguments.seed)
-        state_weight = stored.metadata.get("training", {}).get("state_weight")
-        name = {"policy": path.name, "hash": file_hash(path), "rnn": stored.rnn.name, "state_weight": state_weight}
-        cases.append(name | found | {"eigenvalues": found["eigenvalues"][:WRITTEN_EIGENVALUES]})
-        pictures.append((f"{path.stem}, subtask {image.subtask}", found["eigenvalues"], norms))
-        print(
-            f"{path.name}, subtask {found['subtask']}: {found['kind']} {found['distance_deg']:.2f} deg from the "
-            f"initial posture, spectral radius {found['spectral_radius']:.4f}; factor a tick predicted "
-            f"{found['decay_predicted']:.4f}, simulated {found['decay_measured']:.4f}; "
-            f"Jacobian off by {found['jacobian_error']:.1e}",
-            flush=True,
-        )
-    worst = max(cases[: len(images)], key=lambda case: case["spectral_radius"])
-    of_worst = {name: worst[name] for name in ("spectral_radius", "decay_predicted", "decay_measured")}
-    largest = {name: max(case[name] for case in cases) for name in ("jacobian_error", "decay_error")}
-    scene = {"can": arguments.can, "vacant": arguments.vacant}
-    arguments.write("linearize", of_worst | largest | scene | {"cases": cases})
-    save_spectra(pictures, arguments.out / "linearize.png")
-    agree = largest["jacobian_error"] <= JACOBIAN_TOLERANCE and largest["decay_error"] <= DECAY_TOLERANCE
-    return 0 if agree else 1
+        worst = max(cases[: len(images)], key=lambda case: case["spectral_radius"])
+        of_worst = {name: worst[name] for name in ("spectral_radius", "decay_predicted", "decay_measured")}
+        largest = {name: max(case[name] for case in cases) for name in ("jacobian_error", "decay_error")}
+        scene = {"can": self.can, "vacant": self.vacant}
+        self.write("linearize", of_worst | largest | scene | {"cases": cases})
+        save_spectra(pictures, self.out / "linearize.png")
+        agree = largest["jacobian_error"] <= JACOBIAN_TOLERANCE and largest["decay_error"] <= DECAY_TOLERANCE
+        return 0 if agree else 1
 
 
 @dataclass(frozen=True)
@@ -107,26 +102,22 @@ class SubtaskImage:
 def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: str) -> list[SubtaskImage]:
     """The scene before subtask 1 (can on the desk) and before subtask 2 (can in the hand), the arm at home.
 
-    Between the two the teacher picks the can in physics; raises InputError where that fails. `encoder`: see
-    models/inference.py.
+    Between the two the teacher picks the can in physics; raises InputError where that fails.
     """
-    builder = DiagramBuilder()
-    station = builder.AddSystem(PickPlaceStation(world))
-    size = world.camera.width, world.camera.height
-    eye = builder.AddNamedSystem("image_encoder", ImageEncoder(encoder, *size))
-    builder.Connect(station.GetOutputPort("rgb_image"), eye.GetInputPort("rgb_image"))
-    builder.ExportInput(station.GetInputPort("desired_posture"), "desired_posture")
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
+    station = PickPlaceStation(world)
+    simulator = Simulator(station)
     context = simulator.get_mutable_context()
     station.set_scene(context, np.asarray(can_xy), vacant)
-    desired = diagram.GetInputPort("desired_posture")
+    desired = station.GetInputPort("desired_posture")
     desired.FixValue(context, world.initial_posture)
     simulator.Initialize()
+    eye = ImageEncoder(encoder, world.camera.width, world.camera.height)
+    seen = eye.CreateDefaultContext()
 
     def look(subtask: int) -> SubtaskImage:
-        features = eye.GetOutputPort("features").Eval(eye.GetMyContextFromRoot(context)).copy()
+        eye.GetInputPort("rgb_image").FixValue(seen, station.GetOutputPort("rgb_image").Eval(context))
         opening = desired.Eval(context)[-1]
+        features = eye.GetOutputPort("features").Eval(seen).copy()
         return SubtaskImage(subtask, features, np.append(world.initial_posture[:-1], opening))
 
     first = look(1)
@@ -135,23 +126,19 @@ def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: s
     for k, row in enumerate(rows, start=1):
         desired.FixValue(context, row)
         simulator.AdvanceTo(k * world.timing.period)
-    if not lifted(station.GetOutputPort("can_poses").Eval(station.GetMyContextFromRoot(context))):
+    if not lifted(station.GetOutputPort("can_poses").Eval(context)):
         raise InputError(f"the teacher does not pick the can at {can_xy}: choose another place with --can")
     return [first, look(2)]
 
 
 def analyse(
-    world: World, stored: StoredPolicy, image: SubtaskImage, *, samples: int, seed: int
+    world: World, stored: "StoredPolicy", image: SubtaskImage, *, samples: int, seed: int
 ) -> tuple[dict, list[np.ndarray]]:
-    """Fixed point, eigenvalues and decay for one network and one subtask's image.
+    """Fixed point, eigenvalues and decay for one network and one subtask's image; each perturbation's norms (ticks,).
 
-    Args:
-        samples: perturbations simulated; seed: of their directions.
-
-    Returns:
-        The report, plain types: `decay_predicted` and `decay_measured` are factors a tick (above 1: growth),
-        `decay_error` the largest relative error of the logarithm of any sample's factor, `jacobian_error` the largest
-        difference to finite differences; and each perturbation's norms (ticks,).
+    In the report, plain types, `decay_predicted` and `decay_measured` are factors a tick (above 1: growth),
+    `decay_error` is the largest relative error of the logarithm of any sample's factor, `jacobian_error` the largest
+    difference to finite differences.
     """
     from diagrams.hybrid.one_tick_map import OneTickMap
 
@@ -166,19 +153,15 @@ def analyse(
     rng = np.random.default_rng(seed)
     decays = [measure_decay(loop, point.z, radius, rng) for _ in range(samples)]
     measured = float(np.exp(np.mean(np.log([decay for decay, _ in decays]))))
-    offset = np.abs(stored.scaling.unscale(point.z[-size:]) - image.posture)
+    offset = np.abs(stored.scaling.unscale(point.z[-size:]) - image.posture)[:ARM_JOINTS]
     report = {
         "subtask": image.subtask,
         "kind": "fixed point" if point.converged else "slow point",
         "residual": point.residual,
-        "newton_steps": point.steps,
-        "started_after_ticks": point.started_after,
-        "distance_deg": float(np.rad2deg(offset[:ARM_JOINTS].max())),
-        "finger_distance_m": float(offset[ARM_JOINTS:].max()),
+        "distance_deg": float(np.rad2deg(offset.max())),
         "state_rms": float(np.sqrt(np.mean(point.z[:-size] ** 2))),
         "alpha": _alpha(stored, point.z, size),
         "spectral_radius": radius,
-        "unstable": int(np.sum(np.abs(eigenvalues) >= 1.0)),
         "decay_predicted": radius,
         "decay_measured": measured,
         "decay_error": float(max(abs(np.log(decay) / np.log(radius) - 1.0) for decay, _ in decays)),
@@ -188,7 +171,7 @@ def analyse(
     return report, [norms for _, norms in decays]
 
 
-def _alpha(stored: StoredPolicy, z: np.ndarray, size: int) -> float | None:
+def _alpha(stored: "StoredPolicy", z: np.ndarray, size: int) -> float | None:
     """alpha of a network that rests at z, by Eqs. 5 and 6; None without recall heads or calibration."""
     import torch
 

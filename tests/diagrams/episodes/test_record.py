@@ -5,11 +5,12 @@ import pytest
 
 from diagrams.episodes.record import find_records, load_record, record_hash, save_record
 from models.errors import InputError
-from tests.diagrams.hybrid.hybrid_fakes import OUTCOME, make_record
+from tests.diagrams.episode_fakes import OUTCOME
+from tests.diagrams.recorded_run import recorded_run
 
 
 def test_record_survives_the_disk(tmp_path):
-    before = make_record([0, 1, 0])
+    before = recorded_run(3)
     save_record(tmp_path / "new" / "run.npz", before, OUTCOME)
     after, outcome = load_record(tmp_path / "new" / "run.npz")
     assert record_hash(after) == record_hash(before)
@@ -20,14 +21,14 @@ def test_record_survives_the_disk(tmp_path):
 
 
 def test_hash_sees_one_bit():
-    one, other = make_record([0, 1, 0]), make_record([0, 1, 0])
+    one, other = recorded_run(3), recorded_run(3)
     other.posture[1, 3] = np.nextafter(other.posture[1, 3], 9)
     assert record_hash(one) != record_hash(other)
 
 
 @pytest.mark.parametrize("name", ["text.npz", "other.npz", "nothing.npz", "cut.npz", "flipped.npz", "array.npz"])
 def test_what_is_no_record_is_named(tmp_path, name):
-    save_record(tmp_path / "whole.npz", make_record([0, 1, 0]), OUTCOME)
+    save_record(tmp_path / "whole.npz", recorded_run(3), OUTCOME)
     whole = (tmp_path / "whole.npz").read_bytes()
     (tmp_path / "text.npz").write_text("no")
     np.savez(tmp_path / "other.npz", a=1)

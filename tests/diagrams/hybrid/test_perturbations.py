@@ -10,7 +10,7 @@ from diagrams.episodes.episode import Episode
 from diagrams.episodes.sampling import ONSET_LEVELS
 from diagrams.hybrid.perturbations import NominalRun, Perturbation, PerturbationSpace, judge
 from diagrams.world.disturbance import Disturbance
-from tests.diagrams.hybrid.hybrid_fakes import OUTCOME
+from tests.diagrams.episode_fakes import OUTCOME
 
 SCENES = [Episode(5, (0.555, -0.041), "left"), Episode(6, (0.5, 0.02), "right")]
 DEFLECTED = Perturbation(0, Disturbance("A", 0.15, [0.0] * 7, 5), 30.0)
@@ -102,6 +102,7 @@ def run_record(worst):
     return SimpleNamespace(errors=errors, alpha=alpha, active=active)
 
 
+UNSEEN = replace(OUTCOME, detection_delay_s=None, return_s=None, resume_s=None)
 FAR = [0.1] * 5 + [1000.0] * 7
 
 
@@ -122,5 +123,5 @@ FAR = [0.1] * 5 + [1000.0] * 7
     ],
 )  # fmt: skip
 def test_judgement(change, worst, failure, objective):
-    found = judge(DEFLECTED, replace(OUTCOME, **change), run_record(worst), 0.1, GAMMA)
+    found = judge(DEFLECTED, replace(UNSEEN, **change), run_record(worst), 0.1, GAMMA)
     assert found == (failure, pytest.approx(objective))

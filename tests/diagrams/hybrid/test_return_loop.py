@@ -61,7 +61,6 @@ def test_a_simulation_that_breaks_off_did_not_arrive(loop, world, monkeypatch):
 def test_trajectories_survive_the_disk_and_are_not_run_again(world, tmp_path, monkeypatch):
     home = world.initial_posture[:7]
     samples = [Sample(home + 0.02 * k, np.array([0.55, 0.0]), "left") for k in range(5)]
-    monkeypatch.setattr(return_trajectories, "CHUNK", 2)
 
     def run():
         with RowStore(tmp_path / "t.jsonl", fingerprint(world)) as store, Pool(0) as pool:
@@ -69,12 +68,12 @@ def test_trajectories_survive_the_disk_and_are_not_run_again(world, tmp_path, mo
 
     first = run()
     lines = (tmp_path / "t.jsonl").read_bytes().splitlines(keepends=True)
-    assert len(lines) == 1 + 3
-    (tmp_path / "t.jsonl").write_bytes(b"".join(lines[:3]) + lines[3][:20])  # the kill came in the middle of a line
+    assert len(lines) == 1 + 5
+    (tmp_path / "t.jsonl").write_bytes(b"".join(lines[:4]) + lines[4][:20])  # the kill came in the middle of a line
     ran, true = [], return_trajectories.run_job
     monkeypatch.setattr(return_trajectories, "run_job", lambda job: ran.append(job) or true(job))
     again = run()
-    assert [len(job.samples) for job in ran] == [1]
+    assert [sample for _, sample in ran] == samples[3:]
     for one, other in zip(first, again, strict=True):
         assert np.array_equal(one.rows, other.rows)
         assert (one.touches, one.broke_off) == (other.touches, other.broke_off)

@@ -23,7 +23,7 @@ def run(perturbation):
     fails = size > 20.0 and perturbation.disturbance.hold_ticks > 10
     objective = perturbation.magnitude if fails else 1.0 + (20.0 - min(size, 20.0)) / 20.0
     failure = "not returned" if fails else None
-    return Trial(perturbation, failure, failure, not fails, objective, 0.2, size, "hash")
+    return Trial(perturbation, failure, failure, not fails, objective, size, "hash")
 
 
 def search_all(folder, trials=25, run=run, samplers=SAMPLERS, seed=3, **more):

@@ -7,7 +7,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Integrator, ZeroOrderHold
 
-from diagrams.hybrid.states import State, inventory, report, table
+from diagrams.hybrid.states import State, report, states_of, table
 
 
 def test_inventory_by_hand():
@@ -22,7 +22,7 @@ def test_inventory_by_hand():
     builder.AddNamedSystem("memory", ZeroOrderHold(0.5, Value("text")))
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
-    assert [s for s in inventory(diagram, context) if s.owner != "memory"] == [
+    assert [s for s in states_of(diagram, context) if s.owner != "memory"] == [
         State("nested/hold", "ZeroOrderHold", "discrete", 0, 3, 0.25),
         State("integrator", "Integrator", "continuous", 0, 2, None),
     ]
