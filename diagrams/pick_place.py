@@ -16,7 +16,7 @@ from typing import Annotated
 
 import tyro
 
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario
 from models.command_line import require_writable, run
@@ -25,8 +25,8 @@ from models.networks import NETWORKS
 
 
 @dataclass
-class DisturbanceArguments(Disturbance):
-    """A Disturbance, its kind as --disturbance."""
+class DisturbanceArguments(DisturbanceSpec):
+    """A DisturbanceSpec, its kind as --disturbance."""
 
     kind: Annotated[str, tyro.conf.arg(name="disturbance", prefix_name=False)] = "A"  # none, A or B
 

@@ -3,7 +3,7 @@
 import dataclasses
 from dataclasses import dataclass, field
 
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 
 DIVERGED = "simulation diverged"  # a failure of the task and of the switching
 
@@ -15,7 +15,7 @@ class Episode:
     seed: int
     can_xy: tuple[float, float]  # m, world
     vacant: str  # left or right
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    disturbance: DisturbanceSpec = field(default_factory=DisturbanceSpec)
     rnn: str = "lstm"
     detector: str = "recall"
 

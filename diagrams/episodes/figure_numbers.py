@@ -9,7 +9,7 @@ from diagrams.episodes.calibration import policy_name
 from diagrams.episodes.record import Record, find_records, load_record
 from diagrams.world.configuration import World
 from diagrams.world.names import DISTURBANCES
-from diagrams.world.task import at_home, lifted
+from diagrams.world.task import at_home, held
 from models.errors import InputError
 from models.networks import NETWORKS
 
@@ -113,6 +113,6 @@ def principal_states(
     runs = {}
     for name, record in records.items():
         home = at_home(record.posture[:, :-1], world.initial_posture[:-1])
-        held = (record.posture[:, -1] <= 0.5 * world.opening) & lifted(record.can_poses)
-        runs[name] = (pca.transform(record.hidden_state), subtasks(home, held), record.alpha)
+        in_hand = held(record.can_poses, record.posture, world.opening)
+        runs[name] = (pca.transform(record.hidden_state), subtasks(home, in_hand), record.alpha)
     return runs, pca.transform(np.zeros((1, pca.n_features_in_)))[0], pca.explained_variance_ratio_

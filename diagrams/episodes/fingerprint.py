@@ -9,8 +9,8 @@ from diagrams.world.configuration import World
 from models.command_line import ROOT
 
 # What an episode's outcome depends on: the definitions of success among it.
-ROOMS = ("sdf", "models/inference.py", "models/networks", "models/data/scaling.py", "models/data/windows.py", "systems")
-ROOMS += ("diagrams/world", *(f"diagrams/episodes/{name}.py" for name in (
+ROOMS: tuple[str, ...] = ("sdf", "models/inference.py", "models/networks", "models/data/scaling.py", "systems")
+ROOMS += ("models/data/windows.py", "diagrams/world", *(f"diagrams/episodes/{name}.py" for name in (
     "calibration", "episode", "record", "rollout", "runner", "sampling", "switching",
 )))  # fmt: skip
 

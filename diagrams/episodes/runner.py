@@ -39,9 +39,9 @@ def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
     from models.inference import Encoder, Policy
 
     torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-    eye, policy = kept_in_thread(("encoder", encoder), lambda: Encoder(encoder)), Policy(controller.policy)
+    images, policy = kept_in_thread(("encoder", encoder), lambda: Encoder(encoder)), Policy(controller.policy)
     detector = make_detector(controller.detector, policy, controller.policy.parent)
-    return Rollout(world, eye, policy, detector, **shown)
+    return Rollout(world, images, policy, detector, **shown)
 
 
 def run_episode(job: Job) -> tuple[Outcome, Record]:

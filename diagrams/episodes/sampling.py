@@ -9,7 +9,7 @@ from pydrake.geometry.optimization import HPolyhedron, VPolytope
 from diagrams.episodes.episode import Episode
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS, other_spot
 from diagrams.world.scenario import Scenario
@@ -149,20 +149,20 @@ class EpisodeSampler:
             f"raise world.grid.spacing ({self._world.grid.spacing} m) or count ({self._world.grid.count})"
         )
 
-    def _disturbance(self, rng: np.random.Generator, kind: str, can_xy: XY, vacant: str) -> Disturbance:
+    def _disturbance(self, rng: np.random.Generator, kind: str, can_xy: XY, vacant: str) -> DisturbanceSpec:
         # First what the scene has no say in, so that another can or spot leaves it as it is.
         subtask = int(rng.integers(1, 3))
         hold = int(rng.integers(*STOP_TICKS, endpoint=True))
         taken = subtask == 2 and rng.uniform() < CAN_TAKEN_SHARE
         elsewhere = self.unlearned_position(rng)
         if kind == "none":
-            return Disturbance()
+            return DisturbanceSpec()
         approach = self._approach(subtask, can_xy, vacant)
         level, start = self._onset(rng, subtask, approach)
         if kind == "B":
-            return Disturbance("B", level, None, hold, subtask, list(elsewhere) if taken else None)
+            return DisturbanceSpec("B", level, None, hold, subtask, list(elsewhere) if taken else None)
         if kind == "A":
-            return Disturbance("A", level, self._deflected(rng, start, approach).tolist(), HELD_TICKS, subtask)
+            return DisturbanceSpec("A", level, self._deflected(rng, start, approach).tolist(), HELD_TICKS, subtask)
         raise InputError(f"there is no disturbance '{kind}': choose none, A or B")
 
     def _approach(self, subtask: int, can_xy: XY, vacant: str) -> _Approach:

@@ -73,7 +73,7 @@ class NetworkArguments(Arguments):
         """File of the policy."""
         from diagrams.episodes.calibration import policy_name
 
-        return self.weights / policy_name(self.rnn)
+        return self.weights / policy_name(NETWORKS.label(self.rnn))
 
     def rollout(self, world: World) -> "Rollout":
         """The closed loop; raises InputError as Encoder, Policy and Rollout do."""

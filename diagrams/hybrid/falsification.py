@@ -18,7 +18,7 @@ from diagrams.hybrid.common import NetworkArguments
 from diagrams.hybrid.perturbations import FORMS, Perturbation, PerturbationSpace
 from diagrams.hybrid.search import Trial, search_all
 from diagrams.world.configuration import World
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, save_scenario
 from models.errors import InputError
@@ -117,7 +117,7 @@ def file_name(sampler: str, number: int) -> str:
     return f"{sampler}-{number + 1}.yaml"
 
 
-def scenario_of(world: World, scene: Episode, rnn: str, disturbance: Disturbance) -> Scenario:
+def scenario_of(world: World, scene: Episode, rnn: str, disturbance: DisturbanceSpec) -> Scenario:
     """The scenario that gives the scene with this disturbance in full; `rnn`: the network as it was asked for."""
     can = [float(v) for v in scene.can_xy]
     return Scenario(rnn, scene.detector, scene.seed, can, scene.vacant, disturbance, world)

@@ -21,7 +21,7 @@ from diagrams.episodes.sampling import LIMIT_MARGIN, ONSET_LEVELS
 from diagrams.episodes.switching import DEFEATS, DETECTION_TICKS, GUARD, RESUME_SECONDS
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
-from diagrams.world.disturbance import CAN_TAKEN_TICKS, Disturbance
+from diagrams.world.disturbance import CAN_TAKEN_TICKS, DisturbanceSpec
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS
 from systems.disturbance import MOVE_TICKS
@@ -37,7 +37,7 @@ class Perturbation:
     """A disturbance of one of the scenes searched, and how large it is."""
 
     scene: int  # index
-    disturbance: Disturbance
+    disturbance: DisturbanceSpec
     size_deg: float  # norm over the joints; 0 where the arm is stopped
 
     @property
@@ -118,12 +118,12 @@ class PerturbationSpace:
         if target is None:
             return None
         if form == "deflected":
-            return Perturbation(scene, Disturbance("A", level, target.tolist(), hold, subtask), size)
+            return Perturbation(scene, DisturbanceSpec("A", level, target.tolist(), hold, subtask), size)
         if form == "stopped" or subtask == 1:  # before subtask 2 there is no can in the hand
-            return Perturbation(scene, Disturbance("B", level, None, max(hold, 1), subtask), 0.0)
+            return Perturbation(scene, DisturbanceSpec("B", level, None, max(hold, 1), subtask), 0.0)
         corner, opposite = self._grid
         moved = (corner + place * (opposite - corner)).tolist()
-        return Perturbation(scene, Disturbance("B", level, None, max(hold, CAN_TAKEN_TICKS), subtask, moved), 0.0)
+        return Perturbation(scene, DisturbanceSpec("B", level, None, max(hold, CAN_TAKEN_TICKS), subtask, moved), 0.0)
 
     def _target(self, scene: int, subtask: int, level: float, offset: np.ndarray) -> np.ndarray | None:
         """(7,) rad: where the arm is moved by `offset` (7, rad); None where that is no perturbation."""

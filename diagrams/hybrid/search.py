@@ -12,7 +12,7 @@ from diagrams.episodes.episode import Outcome
 from diagrams.episodes.record import Record, record_hash
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.perturbations import Perturbation, judge
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS
 
 SAMPLERS = {"tpe": "TPESampler", "cmaes": "CmaEsSampler", "random": "RandomSampler"}  # Optuna's classes
@@ -49,7 +49,7 @@ class Trial:
     def of_row(cls, row: dict[str, Any]) -> Self:
         """From a row of the store: what `asdict` made of a trial."""
         given = row["perturbation"]
-        perturbation = Perturbation(**given | {"disturbance": Disturbance(**given["disturbance"])})
+        perturbation = Perturbation(**given | {"disturbance": DisturbanceSpec(**given["disturbance"])})
         return cls(**row | {"perturbation": perturbation})
 
 

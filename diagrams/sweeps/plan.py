@@ -28,7 +28,7 @@ class SweepArguments:
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.safetensors, 1 is lstm-1.safetensors
     until: Literal["task", "switching"] = "task"  # switching: ends once that is decided, the task is not judged
-    gamma: list[float] = field(default_factory=list)  # of the paper's rule (there 3, times mean errors), not calibrated
+    gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
     scenario: Path | None = None  # YAML whose world is used
     workers: int = os.cpu_count() or 1  # processes of this machine
     scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used

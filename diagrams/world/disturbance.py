@@ -13,7 +13,7 @@ CAN_TAKEN_TICKS = 5
 
 
 @dataclass
-class Disturbance(DisturbanceParameters):
+class DisturbanceSpec(DisturbanceParameters):
     """What the experimenter does, once: with a `level` all of it is given, without one it is sampled from the seed.
 
     `level` is in m: the distance of the hand to the can (subtask 1) or of the held can to its spot (subtask 2).

@@ -2,13 +2,13 @@
 
 from models.command_line import ROOT
 from models.errors import InputError
+from systems.disturbance import KINDS as DISTURBANCES  # noqa: F401 (Sec. IV-B of the paper)
 
 ARM_JOINTS = 7
 FINGERS = ("left", "right")  # of the gripper
 SPOTS = ("left", "right")  # on the shelf
 CANS = ("can_to_pick", "can_on_shelf")  # models of sdf/pick_place.dmd.yaml
 CAN_HALF_HEIGHT = 0.05  # m
-DISTURBANCES = ("none", "A", "B")  # Sec. IV-B of the paper
 WEIGHTS = ROOT / "models" / "weights"  # the trained networks that ship
 ENCODER = "cae.safetensors"  # file of the autoencoder in such a folder
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from diagrams.world.configuration import World
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import SPOTS
 from models.errors import InputError
 from models.networks import NETWORKS
@@ -20,7 +20,7 @@ class Scenario:
     seed: int = 0  # of the can's position, the vacant spot, and the disturbance's moment and posture
     can: list[float] | None = None  # X Y of the can to pick, m, world; sampled where not given
     vacant: str | None = None  # left or right; sampled where not given
-    disturbance: Disturbance = field(default_factory=lambda: Disturbance(kind="A"))
+    disturbance: DisturbanceSpec = field(default_factory=lambda: DisturbanceSpec(kind="A"))
     world: World = field(default_factory=World)
 
     def check(self) -> None:

@@ -40,6 +40,16 @@ def lifted(can_poses: np.ndarray) -> np.ndarray:
     return can_poses[..., 6] - CAN_HALF_HEIGHT > LIFTED
 
 
+def released(posture: np.ndarray, opening: float) -> np.ndarray:
+    """Whether the fingers are commanded open; `posture` (..., 8), `opening` (m) of the open fingers: (...) bool."""
+    return posture[..., -1] > 0.5 * opening
+
+
+def held(can_poses: np.ndarray, posture: np.ndarray, opening: float) -> np.ndarray:
+    """Whether the can is in the hand: (...) bool."""
+    return ~released(posture, opening) & lifted(can_poses)
+
+
 @dataclass(frozen=True)
 class TaskMonitor:
     """The goals in one scene. `can_poses`: (..., 14) as PickPlaceStation gives them; `posture`: (..., 8), rad and m.
@@ -67,11 +77,11 @@ class TaskMonitor:
 
     def released(self, posture: np.ndarray) -> np.ndarray:
         """The fingers are commanded open: (...) bool."""
-        return posture[..., -1] > 0.5 * self.initial_posture[-1]
+        return released(posture, self.initial_posture[-1])
 
     def held(self, can_poses: np.ndarray, posture: np.ndarray) -> np.ndarray:
         """The can is in the hand: (...) bool."""
-        return ~self.released(posture) & lifted(can_poses)
+        return held(can_poses, posture, self.initial_posture[-1])
 
     def success(self, can_poses: np.ndarray, posture: np.ndarray) -> bool:
         """The whole task is done; one tick's values."""

@@ -19,8 +19,8 @@ from models.inference import Encoder
 from models.networks import NETWORKS
 from models.networks.rnn import make_rnn, network_class
 from models.training.features import encode_dataset
+from models.training.metrics import validate
 from models.training.trainer import Training, TrainingOptions, fit, prepare, step_generator
-from models.training.validation import validate
 
 JOINTS = 7
 POOL = 256  # states that later sequences may start from

@@ -76,8 +76,8 @@ def _posture(hand: np.ndarray, opening: float) -> np.ndarray:
     return np.append(joints, opening)
 
 
-def _way(points: list[np.ndarray], ticks: int, dwell: tuple[int, int]) -> np.ndarray:
-    """Minimum-jerk way (ticks, 2) through points with a dwell at both ends."""
+def _path(points: list[np.ndarray], ticks: int, dwell: tuple[int, int]) -> np.ndarray:
+    """Minimum-jerk path (ticks, 2) through points with a dwell at both ends."""
     moving = np.array_split(np.arange(ticks - sum(dwell)), len(points) - 1)
     parts = [np.repeat(points[0][None], dwell[0], 0)]
     for a, b, leg in zip(points[:-1], points[1:], moving, strict=True):
@@ -91,8 +91,8 @@ def demonstration(can: np.ndarray, vacant: str, ticks: tuple[int, int], images: 
     """rgb (T, 112, 112, 3), posture (T, 8), actions (T, 8) of one demonstration with the can at (2,) metres."""
     scene, other = background(), SPOTS["right" if vacant == "left" else "left"]
     dwell = (min(12, ticks[0] // 6), min(15, ticks[0] // 5))
-    hand1 = _way([HOME, can + [-0.03, 0], can, HOME], ticks[0], dwell)
-    hand2 = _way([HOME, SPOTS[vacant] + [0.03, 0.0], SPOTS[vacant], HOME], ticks[1], dwell)
+    hand1 = _path([HOME, can + [-0.03, 0], can, HOME], ticks[0], dwell)
+    hand2 = _path([HOME, SPOTS[vacant] + [0.03, 0.0], SPOTS[vacant], HOME], ticks[1], dwell)
     move1, move2 = ticks[0] - sum(dwell), ticks[1] - sum(dwell)
     grasp, release = dwell[0] + 2 * move1 // 3, ticks[0] + dwell[0] + 2 * move2 // 3
     hand = np.concatenate([hand1, hand2])

@@ -1,4 +1,4 @@
-"""SwitchedController with fakes: the order of a tick, the times of the ticks, replays, and the way home."""
+"""SwitchedController with fakes: the order of a tick, the times of the ticks, replays, and the return."""
 
 import numpy as np
 import pytest

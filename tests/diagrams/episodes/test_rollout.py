@@ -15,7 +15,7 @@ from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import Record
 from diagrams.episodes.rollout import Rollout
 from diagrams.world.configuration import World
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import FILM
 from models.errors import InputError
@@ -62,8 +62,8 @@ def moved_with_the_can(rollout, policy, encoder, sampler):
 
 @pytest.fixture(scope="module")
 def robbed(rollout, policy, encoder):
-    """Stopped on the way to the shelf; the can is taken and put elsewhere on the desk."""
-    taken = Disturbance("B", level=0.10, hold_ticks=20, subtask=2, can_moved_to=[0.61, 0.05])
+    """Stopped before the shelf; the can is taken and put elsewhere on the desk."""
+    taken = DisturbanceSpec("B", level=0.10, hold_ticks=20, subtask=2, can_moved_to=[0.61, 0.05])
     return Run(rollout, policy, encoder, Episode(8, (0.50, 0.02), "right", taken))
 
 
@@ -275,7 +275,7 @@ def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkey
 
 def test_no_disturbance_came(rollout, policy, encoder):
     """The moment never comes within the time: said, and not a success of the switching."""
-    episode = Episode(0, CAN, "left", Disturbance("B", level=0.01, hold_ticks=20))
+    episode = Episode(0, CAN, "left", DisturbanceSpec("B", level=0.01, hold_ticks=20))
     run = Run(rollout, policy, encoder, episode, time_limit=2.0)
     assert (run.outcome.success, run.outcome.switch_success) == (False, False)
     assert (run.outcome.switch_failure, run.outcome.returned) == ("not disturbed", False)

@@ -26,7 +26,7 @@ def run(kind, success, normal, disturbed=(), active=0):
 
 
 def test_peaks_of_a_run():
-    # Two criteria; the disturbance lasts for 2 ticks, so its stretch is the next 7: what comes later is the way home.
+    # Two criteria; the disturbance lasts for 2 ticks, so its stretch is the next 7: what comes later is the return.
     found = run("A", True, [(1, 4), (3, 2)], [(5, 1)] * 6 + [(7, 1), (90, 90)], active=2)
     assert (found.ticks, found.total.tolist(), found.before.tolist()) == (2, [4, 6], [3, 4])
     assert found.after.tolist() == [7, 1]

@@ -16,7 +16,7 @@ from diagrams.hybrid import falsification
 from diagrams.hybrid.falsification import scenario_of
 from diagrams.hybrid.perturbations import Perturbation
 from diagrams.hybrid.search import Trial
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import load_scenario, save_scenario
 from models.files.weights import load_policy, save_policy
@@ -25,7 +25,7 @@ SCENE = Episode(5, (0.555, -0.041), "left")
 
 
 def trial(size, failure=None, switch_failure=None, done=True):
-    perturbation = Perturbation(0, Disturbance("A", 0.1, [0.0] * 7, 25), size)
+    perturbation = Perturbation(0, DisturbanceSpec("A", 0.1, [0.0] * 7, 25), size)
     return Trial(perturbation, failure, switch_failure or failure, done, 1.0, size, f"hash {size}")
 
 
@@ -61,7 +61,7 @@ def test_scenario_gives_the_same_bits_back(tmp_path, world, sampler, seed, kind)
 def test_counterexample_replays_bit_by_bit(rollout, policy, world, sampler, tmp_path):
     """A perturbation in the closed loop with fakes; its file, run as pick_place.py does."""
     target = (world.initial_posture[:7] + np.deg2rad([10.0, 0, 0, -10.0, 0, 0, 0]) / 3).tolist()
-    disturbance = Disturbance("A", 0.18, target, 4)
+    disturbance = DisturbanceSpec("A", 0.18, target, 4)
     policy.learn(SCENE)
     outcome, record = rollout.run(replace(SCENE, disturbance=disturbance), time_limit=12.0)
     found = Trial.of(Perturbation(0, disturbance, 5.0), outcome, record, policy.gamma)

@@ -9,11 +9,11 @@ import pytest
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.sampling import ONSET_LEVELS
 from diagrams.hybrid.perturbations import NominalRun, Perturbation, PerturbationSpace, judge
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from tests.diagrams.episode_fakes import OUTCOME
 
 SCENES = [Episode(5, (0.555, -0.041), "left"), Episode(6, (0.5, 0.02), "right")]
-DEFLECTED = Perturbation(0, Disturbance("A", 0.15, [0.0] * 7, 5), 30.0)
+DEFLECTED = Perturbation(0, DisturbanceSpec("A", 0.15, [0.0] * 7, 5), 30.0)
 GAMMA = 10.0
 
 
@@ -57,7 +57,7 @@ def test_moments_go_from_the_earliest_to_the_latest(space):
 
 def test_a_stop_by_hand(space):
     found = propose(space, form=0.5)
-    assert found == Perturbation(0, Disturbance("B", found.disturbance.level, None, 3, 1), 0.0)
+    assert found == Perturbation(0, DisturbanceSpec("B", found.disturbance.level, None, 3, 1), 0.0)
     assert (found.form, found.magnitude) == ("stopped", pytest.approx(0.5 * 3 / 33))
     assert propose(space, form=0.5, hold_ticks=0.0).ticks == 1  # no time at all is no stop
 

@@ -6,7 +6,7 @@ from diagrams.episodes.store import RowStore
 from diagrams.hybrid import search
 from diagrams.hybrid.perturbations import Perturbation
 from diagrams.hybrid.search import SAMPLERS, Trial, make_sampler
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from models.errors import InputError
 
 
@@ -14,7 +14,7 @@ def propose(suggest):
     """Deflections, but for a tenth of the proposals."""
     size, hold = suggest("size_deg", 0.0, 60.0), round(suggest("hold_ticks", 0.0, 25.0))
     scene, moment = int(2 * suggest("scene", 0.0, 0.9999)), suggest("moment", 0.0, 1.0)
-    return None if moment > 0.9 else Perturbation(scene, Disturbance("A", 0.1 + moment, [0.0] * 7, hold), size)
+    return None if moment > 0.9 else Perturbation(scene, DisturbanceSpec("A", 0.1 + moment, [0.0] * 7, hold), size)
 
 
 def run(perturbation):

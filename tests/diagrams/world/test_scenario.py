@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagrams.world.configuration import Grid, World
-from diagrams.world.disturbance import Disturbance
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.scenario import Scenario, load_scenario
 from models.errors import InputError
 
@@ -47,7 +47,7 @@ def test_a_missing_file_is_named(tmp_path):
     [
         ({"rnn": "rnn"}, "no network 'rnn': choose from lstm, gru, mtrnn"),
         ({"detector": "ear"}, "no detector 'ear': choose from recall, knn, subspace"),
-        ({"disturbance": Disturbance("C")}, "no disturbance 'C': choose one of none, A, B"),
+        ({"disturbance": DisturbanceSpec("C")}, "no disturbance 'C': choose one of none, A, B"),
         ({"vacant": "up"}, "no vacant spot 'up': choose one of left, right"),
         ({"seed": -1}, "seed -1 is negative"),
         ({"can": [0.5]}, "does not have two numbers"),

@@ -280,9 +280,9 @@ def test_held_can_does_not_slip(lifted, hand, world):
 
     held = np.append(world.initial_posture[:-1], world.closed_opening)
     play(station, simulator, [held] * 50, compare)
-    # The way to the shelf, as far as the fingers stay closed.
-    way = taught(station, hand, (0.53, 0.0), "left", 2)
-    play(station, simulator, way[way[:, -1] < 0.04], compare)
+    # The path to the shelf, as far as the fingers stay closed.
+    path = taught(station, hand, (0.53, 0.0), "left", 2)
+    play(station, simulator, path[path[:, -1] < 0.04], compare)
     # In 17 s; what there is, is the slow creep of a regularized friction.
     distance, angle = np.max(moved, axis=0)
     assert distance < 0.001

@@ -40,7 +40,7 @@ def test_one_demonstration(world, hand):
     assert np.array_equal(given.can_xy, world.grid.position(0, 1))
     assert given.rgb.shape == (sum(SUBTASK_STEPS), 112, 112, 3)
     actions, pushed = teacher.commands(setup)
-    assert np.array_equal(given.actions, actions)  # the motion to learn is that without the pushes
+    assert np.array_equal(given.actions, actions)  # the motion to learn is that without the deviations
     assert np.abs(given.posture[0] - world.initial_posture).max() < 1e-6
     off = np.abs(given.posture[1:, :7] - actions[:-1, :7]).max(axis=1)  # what the arm was pushed off by, and its lag
     assert np.deg2rad(1.0) < off.max() < np.deg2rad(4.0)

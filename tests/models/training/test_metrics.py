@@ -4,7 +4,7 @@ import torch
 
 from models.data.sequences import SequencePack
 from models.networks.rnn import RecurrentNetwork
-from models.training.validation import validate
+from models.training.metrics import validate
 from tests.models.conftest import make_policy
 from tests.models.data.test_sequences import random_pack
 
