@@ -12,6 +12,7 @@ from models.errors import InputError
 from models.networks import NETWORKS
 
 if TYPE_CHECKING:
+    from diagrams.episodes.episode import Episode
     from diagrams.episodes.rollout import Rollout
 
 
@@ -75,9 +76,11 @@ class NetworkArguments(Arguments):
 
         return self.weights / policy_name(NETWORKS.label(self.rnn))
 
-    def rollout(self, world: World) -> "Rollout":
-        """The closed loop; raises InputError as Encoder, Policy and Rollout do."""
+    def closed_loop(self, kind: str = "none") -> tuple["Rollout", "Episode"]:
+        """The closed loop, and the episode of `seed` under a disturbance of `kind`; raises InputError as both do."""
         from diagrams.episodes.rollout import Rollout
+        from diagrams.episodes.sampling import EpisodeSampler
         from models.inference import Encoder, Policy
 
-        return Rollout(world, Encoder(self.encoder_path), Policy(self.policy_path))
+        rollout = Rollout(self.world(), Encoder(self.encoder_path), Policy(self.policy_path))
+        return rollout, EpisodeSampler(rollout.world).sample(self.seed, kind, rnn=rollout.policy.name)

@@ -94,20 +94,18 @@ class Falsify(NetworkArguments):
             )
         return 0 if all(case["same_bits"] for case in replayed.values()) else 1
 
-    def _keep(
-        self, world: World, scenes: list[Episode], weights_hash: str, name: str, number: int, trial: Trial
-    ) -> None:
-        """Writes a counterexample at once: a search takes long."""
+    def _keep(self, world: World, scenes: list[Episode], weights: str, name: str, number: int, trial: Trial) -> None:
+        """Writes a counterexample at once: a search takes long; `weights`: hash of the policy."""
         if trial.failure is None:
             return
         perturbation, file = trial.perturbation, file_name(name, number)
         scenario = scenario_of(world, scenes[perturbation.scene], self.rnn, perturbation.disturbance)
-        weights = "" if self.weights == WEIGHTS else " --weights DIR"
+        elsewhere = "" if self.weights == WEIGHTS else " --weights DIR"
         comments = [
             f"{trial.failure}: {perturbation.form}, {trial.moved_deg:.1f} deg, {perturbation.ticks} ticks, "
             f"in subtask {perturbation.disturbance.subtask}",
-            f"{self.policy_path.name} with the hash {weights_hash[:16]}; record {trial.record_hash[:16]}",
-            f"python diagrams/pick_place.py --scenario {file}{weights}",
+            f"{self.policy_path.name} with the hash {weights[:16]}; record {trial.record_hash[:16]}",
+            f"python diagrams/pick_place.py --scenario {file}{elsewhere}",
         ]
         save_scenario(self.out / file, scenario, comments)
 

@@ -36,16 +36,13 @@ class Guard(NetworkArguments):
         from tqdm import tqdm
 
         from diagrams.drawing.guard import save_guard
-        from diagrams.episodes.sampling import EpisodeSampler
         from diagrams.hybrid.guard_probe import GuardProbe
 
         if self.grid % 2 == 0:
             raise InputError(f"--grid {self.grid} is even, so that 0 would not be on it: choose an odd number")
         if len(set(self.joints)) != 2 or not all(1 <= joint <= ARM_JOINTS for joint in self.joints):
             raise InputError(f"--joints {self.joints} are not two different joints: choose from 1 to {ARM_JOINTS}")
-        world = self.world()
-        rollout = self.rollout(world)
-        episode = EpisodeSampler(world).sample(self.seed, "none", rnn=rollout.policy.name)
+        rollout, episode = self.closed_loop()
         probe = GuardProbe(rollout, episode, self.level, self.ticks)
         directions = np.eye(ARM_JOINTS)[[joint - 1 for joint in self.joints]]
         grid = scan(probe, directions, self.reach, self.grid)

@@ -18,7 +18,6 @@ import numpy as np
 from diagrams.episodes.record import Record, find_records, load_record, save_record
 from diagrams.episodes.switching import GUARD
 from diagrams.hybrid.common import NetworkArguments
-from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 
 TASK, RETURN = "task", "return"
@@ -38,9 +37,9 @@ class Modes(NetworkArguments):
         """Measures the automaton; returns 0 if no run shows chatter, else 1."""
         from diagrams.drawing.automaton import save_automaton
 
-        world = self.world()
-        paths = find_records(self.records) or [self._run_episode(world)]
-        runs = [mode_sequence(*load_record(path), path.stem, world.initial_posture) for path in paths]
+        home = self.world().initial_posture
+        paths = find_records(self.records) or [self._run_episode()]
+        runs = [mode_sequence(*load_record(path), path.stem, home) for path in paths]
         found = report(runs, self.max_crossings)
         self.write("modes", found)
         save_automaton(found, self.out / "modes.png")
@@ -53,14 +52,11 @@ class Modes(NetworkArguments):
                 print(f"dwell in {mode}: {dwell['min']:.1f} to {dwell['max']:.1f} s, median {dwell['median']:.1f} s")
         return 1 if found["zeno_like"] else 0
 
-    def _run_episode(self, world: World) -> Path:
+    def _run_episode(self) -> Path:
         """Path of the record of the episode that was run."""
         from tqdm import tqdm
 
-        from diagrams.episodes.sampling import EpisodeSampler
-
-        rollout = self.rollout(world)
-        episode = EpisodeSampler(world).sample(self.seed, self.disturbance, rnn=rollout.policy.name)
+        rollout, episode = self.closed_loop(self.disturbance)
         with tqdm(desc="run", unit="tick", leave=False, disable=None) as bar:
             outcome, record = rollout.run(episode, on_tick=lambda _: bar.update(), pictures=True)
         path = self.out / f"run-{rollout.policy.name}-{self.disturbance}-{self.seed}.npz"

@@ -188,14 +188,13 @@ def _inside(
     floor = FLOOR * certificate.at_home
     rates = np.array([np.max(v[1:][v[:-1] > floor] / v[:-1][v[:-1] > floor], initial=0.0) for v in values])
     found = arrivals[arrivals >= 0]
+    home_s = {"median": float(np.median(found) * period), "max": float(found.max() * period)} if len(found) else None
     return {
         "failures_inside": int(np.sum(arrivals < 0)),
         "later_than_certified": int(np.sum((arrivals < 0) | (arrivals > certificate.ticks_home))),
         "contraction_rate_measured": float(rates.max()),
         "contraction_rate_measured_clear": float(rates[clear].max(initial=0.0)),
-        "time_home_measured_s": {"median": float(np.median(found) * period), "max": float(found.max() * period)}
-        if len(found)
-        else None,
+        "time_home_measured_s": home_s,
         "max_v_increase": float(max(np.max(np.diff(v), initial=-np.inf) for v in values)),
     }
 

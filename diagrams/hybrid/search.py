@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
@@ -17,8 +16,6 @@ from diagrams.world.names import ARM_JOINTS
 
 SAMPLERS = {"tpe": "TPESampler", "cmaes": "CmaEsSampler", "random": "RandomSampler"}  # Optuna's classes
 ASKS_PER_TRIAL = 50  # proposals that are no perturbation are told so; after that many a search gives up
-
-Propose = Callable[[Any], Perturbation | None]  # see PerturbationSpace.propose
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,9 @@ def make_sampler(name: str, seed: int):
     return getattr(samplers, SAMPLERS[name])(seed=len(SAMPLERS) * seed + list(SAMPLERS).index(name))
 
 
-def search(sampler, propose: Propose, run: Callable[[int, Perturbation], Trial], trials: int) -> list[Trial]:
+def search(
+    sampler, propose: Callable[[Any], Perturbation | None], run: Callable[[int, Perturbation], Trial], trials: int
+) -> list[Trial]:
     """`trials` simulated perturbations, in order; fewer only where the Optuna `sampler` hardly proposes any.
 
     `run` is given the trial's number too, from 0.
@@ -85,7 +84,7 @@ def search(sampler, propose: Propose, run: Callable[[int, Perturbation], Trial],
 
 
 def search_all(
-    propose: Propose,
+    propose: Callable[[Any], Perturbation | None],
     run: Callable[[Perturbation], Trial],
     trials: int,
     seed: int,
@@ -95,20 +94,20 @@ def search_all(
 ) -> dict[str, list[Trial]]:
     """One search for each of `samplers`, each with `trials` of its own, at the same time.
 
-    `run` is called from several threads. Each search's course depends on its seed alone, not on the others'. Trials
-    that are in the store are not run again. `on_trial` is called after each trial with its number, from 0, one call at
-    a time.
+    `propose`: see PerturbationSpace. `run` is called from several threads. Each search's course depends on its seed
+    alone, not on the others'. Trials that are in the store are not run again. `on_trial` is called after each trial
+    with its number, from 0, one call at a time.
     """
     from tqdm import tqdm
 
-    lock = threading.Lock()
+    found, errors, lock = dict[str, list[Trial]](), list[Exception](), threading.Lock()
     bar = tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None)
 
     def guarded(suggest: Any) -> Perturbation | None:
         with lock:
             return propose(suggest)
 
-    def one(name: str) -> list[Trial]:
+    def one(name: str) -> None:
         def known_or_run(number: int, perturbation: Perturbation) -> Trial:
             key = repr(perturbation)
             new = key not in store.rows
@@ -120,8 +119,18 @@ def search_all(
                 on_trial(name, number, trial)
             return trial
 
-        return search(make_sampler(name, seed), guarded, known_or_run, trials)
+        try:
+            found[name] = search(make_sampler(name, seed), guarded, known_or_run, trials)
+        except Exception as error:
+            errors.append(error)
 
-    with bar, ThreadPoolExecutor(len(samplers)) as threads:
-        searches = {name: threads.submit(one, name) for name in samplers}
-    return {name: future.result() for name, future in searches.items()}
+    # No ThreadPoolExecutor: at the interpreter's end it waits for its threads before the pool's workers are let go.
+    threads = [threading.Thread(target=one, args=(name,)) for name in samplers]
+    with bar:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    if errors:
+        raise errors[0]
+    return {name: found[name] for name in samplers}

@@ -17,11 +17,9 @@ class States(NetworkArguments):
     def run(self) -> int:
         """Lists the states; returns 0 if their sums are those of the root Context, else 1."""
         from diagrams.drawing.graph import save_graph
-        from diagrams.episodes.sampling import EpisodeSampler
 
-        world = self.world()
-        rollout = self.rollout(world)
-        rollout.prepare(EpisodeSampler(world).sample(self.seed, "none", rnn=rollout.policy.name))
+        rollout, episode = self.closed_loop()
+        rollout.prepare(episode)
         found = report(rollout.diagram, rollout.simulator.get_context())
         self.write("states", found)
         for form in ("svg", "png"):
