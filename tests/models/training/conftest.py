@@ -1,4 +1,4 @@
-"""The encoder is read once: its file is large."""
+"""The encoder is read once a module: its file is large."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 from models.inference import Encoder
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def encoder_read_once(encoder_file: Path) -> Iterator[None]:
     encoder = Encoder(encoder_file)
     with pytest.MonkeyPatch.context() as patch:
