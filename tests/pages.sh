@@ -14,8 +14,9 @@ ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 HERE=""
 [ "${1:-}" = --here ] && HERE="$1" && shift
 SLOW=60
-PAGES=(README.md models/README.md diagrams/RESULTS.md diagrams/ANALYSIS.md models/weights/README.md systems/README.md
-  tests/benchmarks/README.md)
+PAGES=(README.md models/README.md diagrams/RESULTS.md) # in this order: the later take what the earlier make
+mapfile -t others < <(cd "$ROOT" && git ls-files '*.md' | grep -vxF "$(printf '%s\n' "${PAGES[@]}")")
+PAGES+=("${others[@]}")
 [ $# -gt 0 ] && PAGES=("$@")
 
 # What stands in for what, as a sed script (extended regular expressions). The first part is for --here only.

@@ -9,7 +9,9 @@ import shlex
 
 import pytest
 
+from diagrams.analysis import ANALYSES
 from models.command_line import ROOT
+from models.training.__main__ import commands as training_commands
 
 ROOMS = ("sdf", "models", "systems", "diagrams", "tests")
 PAGES = sorted(
@@ -17,10 +19,7 @@ PAGES = sorted(
 )
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # The programs with commands; every other program takes options alone.
-SUBCOMMANDS = {
-    "diagrams.analysis": ("modes", "return", "linearize", "guard", "falsify", "states"),
-    "models.training.__main__": ("cae", "rnn", "recall", "probe"),
-}
+SUBCOMMANDS = {"diagrams.analysis": tuple(ANALYSES), "models.training.__main__": tuple(training_commands())}
 PROGRAMS = (*(f"diagrams.{path.stem}" for path in ROOT.glob("diagrams/[a-z]*.py")), "models.training.__main__")
 FOREIGN = {"--benchmark-enable", "--index-url", "--help"}  # pytest's, pip's, everybody's
 
