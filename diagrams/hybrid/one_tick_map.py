@@ -8,7 +8,7 @@ component the *command* of the fingers). The last prediction enters the loop onl
 postures only through alpha; alpha and its derivative are next to nothing at a fixed point, where nothing moves and all
 is recalled (`alpha` in the report measures it).
 
-    y, c+ = rnn([m, f], c)                the policy: torch, float64 copy of the weights, Jacobian by torch.func
+    y, c+ = rnn([m, f], c)                the policy: torch, float64 copy of the weights, Jacobian by torch
     m+    = mixer(m, clip(y), regulator(m), alpha = 0)      Eq. 3: Drake's systems, Jacobian by AutoDiffXd
 """
 
@@ -54,7 +54,8 @@ class OneTickMap:
         """dz+/dz (S + 8, S + 8) at z."""
         S, size = self.state_size, self.posture_size
         point = torch.from_numpy(z)
-        policy = torch.func.jacrev(self._policy)(point).detach().numpy()
+        # Not torch.func: it loads the compiler Triton, if there, whose LLVM crashes beside the software renderer's.
+        policy = torch.autograd.functional.jacobian(self._policy, point).numpy()
         with torch.no_grad():
             y = self._policy(point).numpy()[S:]
         both = InitializeAutoDiff(np.concatenate((z[S:], y)))[:, 0]
