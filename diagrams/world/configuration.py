@@ -14,6 +14,7 @@ from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
 from systems.arguments import require_count, require_positive, require_vector
 
+LARGEST_PICTURE = 2048  # pixels a side
 POSITIVE = (
     "timing.time_step", "timing.period", "servo.finger_stiffness", "servo.finger_damping", "grid.spacing",
     "regulator.state_weight", "regulator.input_weight",
@@ -117,6 +118,11 @@ class World:
             require_vector("world.initial_joints_deg", self.initial_joints_deg, ARM_JOINTS)
         except ValueError as error:
             raise InputError(str(error)) from error
+        for size in (self.camera.width, self.camera.height):
+            if size > LARGEST_PICTURE:
+                raise InputError(
+                    f"a world.camera of {size} pixels is too large: choose at most {LARGEST_PICTURE} a side"
+                )
         period, step, angle = self.timing.period, self.timing.time_step, self.camera.field_of_view_deg
         if period < step or abs(math.remainder(period, step)) > 1e-6 * step:
             raise InputError(f"world.timing.period {period} s is no multiple of time_step {step} s: change one of them")

@@ -45,7 +45,7 @@ class Checkpoint:
         try:
             self.training.load_state_dict(stored["state"])
             self.optimizer.load_state_dict(stored["optimizer"])
-        except (KeyError, RuntimeError, ValueError) as error:
+        except Exception as error:  # whatever strange content may raise
             raise self._unusable(f"does not fit the network ({' '.join(str(error).split())[:200]})") from error
         due = self.done % self.made_with["checkpoint_every"] == 0 or self.done == self.training.steps
         path = self.training.weight_file(self.done)

@@ -23,7 +23,9 @@ from models.training.checkpoint import Checkpoint
 
 # Options that name places and this machine: they are not written into weight files.
 _LOCAL = {"data", "out", "device", "encoder", "features", "policy", "start_from"}
-_COUNTS = ("steps", "batch_size", "max_images", "horizon", "checkpoint_every", "validate_every")
+# Numbers that must be above 0; every other one may be 0.
+_POSITIVE = {"steps", "batch_size", "max_images", "horizon", "checkpoint_every", "validate_every", "knot_ticks"}
+_POSITIVE |= {"scaling_margin", "least_half_range"}
 
 
 @dataclass(kw_only=True)
@@ -42,14 +44,25 @@ class TrainingOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in _COUNTS:
-            value = getattr(self, name, None)
-            if value is not None and value < 1:
-                raise InputError(f"--{name.replace('_', '-')} {value} is out of range: choose 1 or more")
+        require_in_range(asdict(self))
 
     def as_metadata(self) -> dict[str, Any]:
         """The options for a weight file, without what belongs to this machine."""
         return {key: value for key, value in asdict(self).items() if key not in _LOCAL}
+
+
+def require_in_range(options: dict[str, Any], prefix: str = "--") -> None:
+    """Raises InputError for a number that is not finite, negative, 0 in _POSITIVE, or no probability by its name."""
+    for name, value in options.items():
+        if isinstance(value, dict):
+            require_in_range(value, f"{prefix}{name}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            least, most = int(name in _POSITIVE), 1 if "probability" in name or name == "carry_over" else math.inf
+            low = value <= 0 if least else value < 0
+            if low or not math.isfinite(value) or value > most:
+                words = "above 0" if least else "from 0 to 1" if most == 1 else "0 or more"
+                option = f"{prefix}{name}".replace("_", "-")
+                raise InputError(f"{option} {value} is out of range: choose a number {words}")
 
 
 class Training(nn.Module):

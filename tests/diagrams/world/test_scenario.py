@@ -70,6 +70,7 @@ def test_choices_are_checked(change, named):
         ("servo", {"finger_stiffness": float("inf")}, "world.servo.finger_stiffness is inf"),
         ("camera", {"width": 100}, "world.camera.width is 100"),
         ("camera", {"height": 0}, "world.camera.height is 0"),
+        ("camera", {"height": 10**9, "width": 10**9}, "1000000000 pixels is too large"),
         ("camera", {"field_of_view_deg": 180.0}, "no angle of view"),
         ("grid", {"corner": [0.4]}, "world.grid.corner has shape"),
         ("grid", {"corner": [0.4, float("inf")]}, "world.grid.corner is"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from models.data.augmentation import Augmentation
 from models.data.demonstrations import iterate_frames, read_demonstrations
 from models.errors import InputError
 from models.files.weights import WeightsError, file_hash, load_policy, save_policy
@@ -212,6 +213,18 @@ def test_each_network_is_trained_as_it_needs_unless_told(rnn_options: RnnOptions
     assert mtrnn.as_metadata()["learning_rate"] == 4e-3
 
 
-def test_counts_below_one_are_refused(rnn_options: RnnOptions) -> None:
-    with pytest.raises(InputError, match="--batch-size 0 is out of range: choose 1 or more"):
-        replace(rnn_options, batch_size=0)
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"batch_size": 0}, "--batch-size 0 is out of range: choose a number above 0"),
+        ({"start_ticks": -1}, "--start-ticks -1 is out of range: choose a number 0 or more"),
+        ({"learning_rate": float("nan")}, "--learning-rate nan is out of range"),
+        ({"scaling_margin": 0.0}, "--scaling-margin 0.0 is out of range: choose a number above 0"),
+        ({"carry_over": 1.5}, "--carry-over 1.5 is out of range: choose a number from 0 to 1"),
+        ({"augmentation": Augmentation(knot_ticks=0)}, "--augmentation.knot-ticks 0 is out of range"),
+        ({"augmentation": Augmentation(hold_probability=2.0)}, "--augmentation.hold-probability 2.0 is out of range"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(rnn_options: RnnOptions, change: dict, named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        replace(rnn_options, **change)
