@@ -22,6 +22,7 @@ import tyro
 
 from diagrams.episodes.calibration import Calibration, Controller, detector_file, make_detector, never_fires
 from diagrams.episodes.pool import Pool
+from diagrams.episodes.sampling import episode_seeds
 from diagrams.episodes.thresholds import best_in_loop, by_count
 from diagrams.episodes.validation import Validation
 from diagrams.world.configuration import World
@@ -91,6 +92,12 @@ def main(arguments: BaselinesArguments) -> int:
 
 
 def _check(arguments: BaselinesArguments) -> None:
+    if not arguments.policies:
+        raise InputError("no policy is given: give --policies one file or more")
+    for name, least in (("episodes", 1), ("disturbed", 1), ("trials", 1), ("workers", 0)):
+        if (value := getattr(arguments, name)) < least:
+            raise InputError(f"--{name} {value} is too small: choose {least} or more")
+    episode_seeds("validation", arguments.seed, 1)  # there are some
     if "recall" in map(DETECTORS.label, arguments.detector):
         raise InputError("the recall is calibrated by diagrams/calibrate.py: choose another --detector")
     if not arguments.detector or not arguments.factors or not arguments.betas:

@@ -49,6 +49,8 @@ def parse(arguments: list[str] | None = None) -> CalibrateArguments:
 def main(arguments: CalibrateArguments) -> int:
     """Writes `arguments.out`; returns the exit code."""
     require_writable(arguments.out)
+    if not arguments.candidates:
+        raise InputError("no candidate is given: give --candidates one file or more")
     from models.files.weights import load_policy, save_policy
     from models.inference import Policy
 

@@ -1,8 +1,13 @@
 """What all pictures share: figures without a display, colours, one way of saving."""
 
+import os
 from pathlib import Path
 from typing import Any
 
+# Importing matplotlib looks for the backend that a notebook may have left here; no picture of ours needs one.
+os.environ.pop("MPLBACKEND", None)
+
+from matplotlib.axes import Axes  # noqa: F401 (for those who draw)
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 

@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from diagrams.drawing.style import new_figure, save
+from diagrams.drawing.style import Axes, Figure, new_figure, save
 from diagrams.episodes.record import Record
 from diagrams.episodes.switching import GUARD
 from diagrams.world.names import ARM_JOINTS

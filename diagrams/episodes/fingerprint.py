@@ -28,5 +28,8 @@ def code_hash(*rooms: str) -> str:
 
 def fingerprint(world: World, *rooms: str, **more: Any) -> dict[str, Any]:
     """Plain types: the world's entries by name, the code with further `rooms`, and what else decides the rows."""
-    entries = {f"world.{name}": value for name, value in dataclasses.asdict(world).items()}
+    entries: dict[str, Any] = {}
+    for name, value in dataclasses.asdict(world).items():
+        parts = {f".{part}": entry for part, entry in value.items()} if isinstance(value, dict) else {"": value}
+        entries |= {f"world.{name}{part}": entry for part, entry in parts.items()}
     return {"code": code_hash(*rooms)} | entries | more

@@ -73,6 +73,6 @@ def _require_same(path: Path, have: dict[str, Any], want: dict[str, Any]) -> Non
     for name in want.keys() | have.keys():
         if (old := have.get(name)) != (new := want.get(name)):
             raise InputError(
-                f"{path} was made with another {name} ({old!s:.40}, now {new!s:.40}): "
+                f"{path} was made with another {name} ({old!s:.80}, now {new!s:.80}): "
                 "choose another --out, or go on as it was begun"
             )

@@ -10,6 +10,7 @@ from torch import Tensor
 from models.data.augmentation import Augmentation, augment
 from models.data.demonstrations import Demonstration, subtask_ranges
 from models.data.scaling import MinMaxScaling
+from models.errors import InputError
 from models.networks.rnn import RecurrentNetwork
 
 
@@ -40,6 +41,8 @@ def pack_sequences(
 
     `features`: (T, 30) by the demonstration's name; `target`: m_{k+1} as measured ("posture") or commanded ("action").
     """
+    if not demos:
+        raise InputError("a split has no demonstration: teach more (diagrams/teach.py with a larger --limit)")
     cuts = []
     for demo in demos:
         ends = [*demo.subtask_starts[1:], len(demo.posture)]

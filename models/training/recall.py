@@ -118,8 +118,8 @@ def train_recall(options: RecallOptions) -> list[Path]:
             continue
         target = policy.metadata.get("training", {}).get("target", "posture")
         packs = prepare_sequences(options, demos, encoder, policy.scaling, target)
-        policy.metadata["recall_training"] = options.as_metadata()
         made_from = {"data": content_of(options.data), "policy": file_hash(path)}
+        policy.metadata["recall_training"] = options.as_metadata() | {"data": made_from["data"]}
         fit(RecallTraining(options, packs["train"], policy, out), options, made_from, name=out.stem)
         rms = recall_errors(policy, packs["valid"]).sqrt().tolist()
         print(
@@ -130,9 +130,10 @@ def train_recall(options: RecallOptions) -> list[Path]:
 
 
 def _check_done(out: Path, options: RecallOptions, path: Path, candidate: StoredPolicy) -> None:
-    """Raises InputError where `out` holds another network, or heads that were trained with other options."""
+    """Raises InputError where `out` holds another network, or heads of other options or data."""
     done = load_policy(out)
-    refuse_other(out, done.metadata.get("recall_training", {}), options.as_metadata())
+    now = options.as_metadata() | {"data": content_of(options.data)}
+    refuse_other(out, done.metadata.get("recall_training", {}), now)
     a, b = done.rnn.state_dict(), candidate.rnn.state_dict()
     if a.keys() != b.keys() or not all(torch.equal(a[name], b[name]) for name in a):
         raise InputError(f"{out} was made from another network than {path}: give another --out")
