@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from models.data.demonstrations import iterate_frames, read_demonstrations
+from models.errors import InputError
 from models.inference import Encoder
 
 
@@ -52,6 +53,8 @@ def regress(f_train: np.ndarray, y_train: np.ndarray, f_test: np.ndarray, groups
 
 def run_probe(options: ProbeOptions) -> None:
     """Prints the errors on validation demonstrations, mm, and the accuracy of the vacant spot; writes options.json."""
+    if options.ticks < 1:
+        raise InputError(f"--ticks {options.ticks} is too small: choose 1 or more")
     encoder = Encoder(options.encoder)
     parts = {}
     for split in ("train", "valid"):

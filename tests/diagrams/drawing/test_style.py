@@ -11,14 +11,15 @@ from diagrams.drawing.style import new_figure, save
 from models.command_line import ROOT
 
 
-def test_a_backend_from_outside_plays_no_part(tmp_path):
+@pytest.mark.parametrize("backend", ["module://no_package_of_this_name", "module://matplotlib_inline.backend_inline"])
+def test_a_backend_from_outside_plays_no_part(tmp_path, backend):
     """A notebook sets one that is not installed here: pyplot, or any show, would fail."""
     code = (
         "import sys; from pathlib import Path; from diagrams.drawing.style import new_figure, save; "
         "figure, axis = new_figure(); axis.plot([0, 1]); save(figure, Path(sys.argv[1])); "
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
-    outside = {"MPLBACKEND": "module://no_package_of_this_name", "PYTHONPATH": str(ROOT)}
+    outside = {"MPLBACKEND": backend, "PYTHONPATH": str(ROOT)}
     subprocess.run(
         [sys.executable, "-c", code, tmp_path / "picture.png"], check=True, timeout=100, env=os.environ | outside
     )

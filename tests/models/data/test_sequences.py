@@ -7,6 +7,7 @@ import torch
 from models.data.augmentation import Augmentation, slow_noise
 from models.data.scaling import MinMaxScaling
 from models.data.sequences import SequencePack, errors, make_batch, pack_sequences, run
+from models.errors import InputError
 from tests.models.conftest import make_policy
 from tests.models.data.test_demonstrations import demo, ramp
 
@@ -142,3 +143,8 @@ def test_error_of_the_command_is_eq_3_at_alpha_zero() -> None:
     torch.testing.assert_close(posture[..., :7], (0.1 * (m[..., :7] - 0.2) + target[..., :7]).square())
     torch.testing.assert_close(posture[..., 7], target[..., 7].square())
     torch.testing.assert_close(feature, target[..., 8:].square())
+
+
+def test_a_split_without_a_demonstration_is_named() -> None:
+    with pytest.raises(InputError, match="a split has no demonstration: teach more"):
+        pack_sequences([], {}, MinMaxScaling(np.zeros(8), np.ones(8)), "action", 0)

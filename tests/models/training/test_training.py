@@ -167,9 +167,11 @@ def test_recall_training_moves_no_main_weight(recall_options: RecallOptions, can
 
 
 def test_recall_that_is_done_is_not_taken_for_another(
-    recall_options: RecallOptions, candidate: Path, tmp_path: Path
+    recall_options: RecallOptions, candidate: Path, tmp_path: Path, grown_data_file: Path
 ) -> None:
     train_recall(recall_options)
+    with pytest.raises(InputError, match=r"policy-4\.safetensors was made with data [0-9a-f]{64}, not [0-9a-f]{64}"):
+        train_recall(replace(recall_options, data=grown_data_file))
     with pytest.raises(InputError, match=r"policy-4\.safetensors was made with learning_rate 0\.002, not 0\.1"):
         train_recall(replace(recall_options, learning_rate=0.1))
     policy = load_policy(candidate)
