@@ -22,12 +22,12 @@ def recall_losses(weights: Path) -> dict[str, np.ndarray]:
 
     Means over the episodes of the calibration, of the calibrated weight files that are there.
     """
-    from models.files.weights import load_policy
+    from models.files.policies import read_policy
 
     losses = {}
     for rnn in NETWORKS:
         paths = [path for seed in TRAINING_SEEDS if (path := weights / policy_name(rnn, seed)).is_file()]
-        means = [mean for path in paths if (mean := load_policy(path).mean_errors) is not None]
+        means = [mean for path in paths if (mean := read_policy(path)[0].mean_errors) is not None]
         if means:
             losses[rnn] = np.array(means)[:, 1:]
     return losses
@@ -59,22 +59,6 @@ def choose_records(paths: list[Path], weights_hash: str) -> dict[str, tuple[Reco
             "give --weights, --rnn and --training-seed of the run"
         )
     return {kind: found[kind] for kind in DISTURBANCES if kind in found}
-
-
-def decoder(path: Path) -> Decoder:
-    """From features (30,) to a uint8 picture (112, 112, 3), of the autoencoder file `path`; raises WeightsError."""
-    import torch
-
-    from models.files.weights import load_autoencoder
-
-    model, _ = load_autoencoder(path)
-
-    def decode(features: np.ndarray) -> np.ndarray:
-        with torch.inference_mode():
-            image = model.decode(torch.from_numpy(features)[None].float())[0]
-        return (255.0 * image.clamp(0.0, 1.0)).byte().permute(1, 2, 0).numpy()
-
-    return decode
 
 
 def reconstructions(record: Record, decode: Decoder) -> list[tuple[float, str, list[np.ndarray]]]:

@@ -22,9 +22,9 @@ def weights(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def encoder(weights):
-    return Encoder(weights / "cae.safetensors")
+    return Encoder(weights / "encoder.onnx")
 
 
 @pytest.fixture(scope="session")
 def policy(weights):
-    return Policy(weights / "lstm.safetensors")
+    return Policy(weights / "lstm.onnx")

@@ -86,7 +86,7 @@ def image():
 @pytest.fixture(scope="module")
 def plain_encoder(weights, image):
     """The same function as Encoder.encode, as the torch module has it."""
-    model, _ = load_autoencoder(weights / "cae.safetensors")
+    model, _ = load_autoencoder(weights / "encoder.onnx")
     model.to(memory_format=torch.channels_last)
 
     def encode():

@@ -57,8 +57,8 @@ def kill_at(monkeypatch: pytest.MonkeyPatch, number: int, after: bool, train: Ca
 def test_killed_at_any_write_the_same_command_ends_in_the_same_files(
     options: RnnOptions, unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: bool
 ) -> None:
-    wanted = {path.name: file_hash(path) for path in unbroken.parent.glob("rnn-*.safetensors")}
-    assert set(wanted) == {"rnn-2.safetensors", "rnn-4.safetensors"}
+    wanted = {path.name: file_hash(path) for path in unbroken.parent.glob("rnn-*.onnx")}
+    assert set(wanted) == {"rnn-2.onnx", "rnn-4.onnx"}
     number = 1
     while True:
         own = replace(options, out=tmp_path / str(number), features=tmp_path / str(number) / "features.npz")
@@ -67,7 +67,7 @@ def test_killed_at_any_write_the_same_command_ends_in_the_same_files(
         if not kill_at(monkeypatch, number, after, lambda own=own: train_rnn(own)):
             break
         train_rnn(own)
-        assert {path.name: file_hash(path) for path in own.out.glob("rnn-*.safetensors")} == wanted
+        assert {path.name: file_hash(path) for path in own.out.glob("rnn-*.onnx")} == wanted
         for log in ("rnn.csv", "rnn-validation.csv"):
             assert (own.out / log).read_text() == (unbroken.parent / log).read_text()
         number += 1
@@ -125,7 +125,7 @@ def test_finished_training_is_not_taken_further_by_more_steps(options: RnnOption
     path = train_rnn(options)
     with pytest.raises(InputError, match=r"rnn\.ckpt was made with steps 4, not 8: give the same, or another --out"):
         train_rnn(replace(options, steps=8))
-    assert not (options.out / "rnn-8.safetensors").exists()
+    assert not (options.out / "rnn-8.onnx").exists()
     assert load_policy(path).metadata["step"] == 4
 
 
@@ -176,7 +176,7 @@ def test_what_is_not_finite_stops_and_keeps_the_last_checkpoint(
     stored = torch.load(options.out / "rnn.ckpt", weights_only=True)
     assert stored["done"] == 2
     assert all(value.isfinite().all() for value in stored["state"].values())
-    assert not (options.out / "rnn-4.safetensors").exists()
+    assert not (options.out / "rnn-4.onnx").exists()
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "foreign", "text"])
