@@ -11,15 +11,14 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import JointActuatorIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.primitives import Adder, ConstantVectorSource, LogVectorOutput, Sine, ZeroOrderHold
 
 from diagrams.world import station as station_module
-from diagrams.world.configuration import Camera, World
+from diagrams.world.configuration import Camera, Timing, World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS
 from diagrams.world.station import PickPlaceStation, arm_plant, controller_limits
 from models.command_line import ROOT
 from models.errors import InputError
-from systems.posture_history import PostureHistory
 from tests.diagrams.world.station_runs import hand_to_can, picture, play, posture, red_pixels, start, taught
 
 # The public figures of the 7-axis arm, as sdf/torobo_arm.sdf states them: limits (deg), effort (N m), speed (deg/s).
@@ -155,28 +154,40 @@ def test_outputs_of_the_plant_are_not_sampled(station):
     assert not station.plant.has_sampled_output_ports()
 
 
-def test_an_update_at_the_tick_sees_the_posture_at_the_tick(world):
+def late_ticks(time_step, count):
+    """How many of `count` ticks, by a 10 Hz update, see another posture than the plant has after k * 0.1 s of steps."""
+    world = World(timing=Timing(time_step=time_step))
+    period, steps = world.timing.period, round(world.timing.period / time_step)
     builder = DiagramBuilder()
     station = builder.AddSystem(PickPlaceStation(world, camera=False))
-    goal = world.initial_posture + np.array([0.3, 0.3, 0, -0.3, 0, 0, 0, 0])
-    source = builder.AddSystem(ConstantVectorSource(goal))
-    history = builder.AddSystem(
-        PostureHistory(posture_size=8, horizon=2, period=world.timing.period, initial_posture=world.initial_posture)
-    )
-    builder.Connect(source.get_output_port(), station.GetInputPort("desired_posture"))
-    builder.Connect(station.GetOutputPort("posture"), history.get_input_port())
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
+    swing = np.array([0.3, 0.2, 0.3, 0.2, 0.3, 0.3, 0.3, 0.0])  # rad: never twice the same posture
+    sine = builder.AddSystem(Sine(swing, np.linspace(1.0, 2.0, 8), np.zeros(8)))
+    home, command = builder.AddSystem(ConstantVectorSource(world.initial_posture)), builder.AddSystem(Adder(2, 8))
+    update = builder.AddSystem(ZeroOrderHold(period, 8))
+    builder.Connect(sine.get_output_port(0), command.get_input_port(0))
+    builder.Connect(home.get_output_port(), command.get_input_port(1))
+    builder.Connect(command.get_output_port(), station.GetInputPort("desired_posture"))
+    builder.Connect(station.GetOutputPort("posture"), update.get_input_port())
+    after_steps = LogVectorOutput(station.GetOutputPort("posture"), builder, time_step)  # row n: after n steps
+    simulator = Simulator(builder.Build())
     seen = []
-    for k in range(4):
-        if k:  # AdvanceTo(0) already does the updates of tick 0
-            simulator.AdvanceTo(k * world.timing.period)
-        seen.append(posture(station, station.GetMyContextFromRoot(context)))
-        simulator.AdvanceTo((k + 0.5) * world.timing.period)
-        sampled = history.GetOutputPort("posture").Eval(history.GetMyContextFromRoot(context))
-        assert np.array_equal(sampled, seen[-1])
-    assert np.abs(np.diff(seen, axis=0)).max(axis=1).min() > 1e-4  # it moves meanwhile
+    for k in range(count):
+        simulator.AdvanceTo((k + 0.5) * period)
+        seen.append(update.get_output_port().Eval(update.GetMyContextFromRoot(simulator.get_context())))
+    rows = after_steps.FindLog(simulator.get_context()).data().T[::steps][:count]
+    assert np.abs(np.diff(rows[:, :7], axis=0)).max(axis=1).min() > 1e-4  # it moves meanwhile
+    return np.count_nonzero((np.array(seen) != rows).any(axis=1))
+
+
+def test_no_update_of_1000_sees_the_posture_a_step_late(world):
+    assert late_ticks(world.timing.time_step, 1000) == 0
+
+
+def test_a_step_that_is_not_exact_in_binary_is_late_and_is_refused():
+    timing = Timing(time_step=0.01)
+    late = late_ticks(0.01, 100)
+    assert late > 10
+    assert late == timing.ticks_beside_a_step(100)
 
 
 def test_servo_gains_are_really_set(station):
