@@ -27,7 +27,7 @@ class Timing:
     """Periods of the loop."""
 
     period: float = 0.1  # control tick, s (ten frames a second, Sec. IV-A)
-    time_step: float = 0.0125  # step of the discrete plant, s: one of period / 2, 4, 8 ... always passes `check`
+    time_step: float = 0.0125  # step of the discrete plant, s: period / 8, see ticks_beside_a_step
 
     def ticks_beside_a_step(self, count: int) -> int:
         """How many of the first `count` ticks are no step of the plant: Drake counts both as k * period in doubles.
@@ -137,9 +137,9 @@ class World:
         if late := self.timing.ticks_beside_a_step(TICKS_CHECKED):
             halved = period / 2 ** max(0, round(math.log2(period / step)))
             raise InputError(
-                f"world.timing.time_step {step} s does not meet {late} of the first {TICKS_CHECKED} ticks of {period} s to "
-                f"the last bit, and the controller would see the posture a step late: choose {halved:g} (halves of a "
-                "period meet every tick)"
+                f"world.timing.time_step {step} s: {late} of the first {TICKS_CHECKED} ticks of {period} s are no step of "
+                f"the plant to the last bit, and would see the posture a step late: choose {halved:g} (a period / 1, 2, 4, "
+                "8 ... meets every tick)"
             )
         if not 0.0 < angle < 180.0:
             raise InputError(

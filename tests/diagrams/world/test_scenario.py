@@ -63,9 +63,9 @@ def test_choices_are_checked(change, named):
     [
         ("timing", {"time_step": 0.0}, "world.timing.time_step is 0.0"),
         ("timing", {"period": float("nan")}, "world.timing.period is nan"),
-        ("timing", {"time_step": 0.01}, "time_step 0.01 s does not meet 1732 of the first 10000 .* choose 0.0125 "),
-        ("timing", {"period": 0.015}, "time_step 0.0125 s does not meet 9999 .* choose 0.015 "),
-        ("timing", {"period": 0.001}, "time_step 0.0125 s does not meet 9999 .* choose 0.001 "),
+        ("timing", {"time_step": 0.01}, "time_step 0.01 s: 1732 of the first 10000 .* choose 0.0125 "),
+        ("timing", {"period": 0.015}, "time_step 0.0125 s: 9999 .* choose 0.015 "),
+        ("timing", {"period": 0.001}, "time_step 0.0125 s: 9999 .* choose 0.001 "),
         ("servo", {"stiffness": [1.0, 2.0]}, "world.servo.stiffness has shape"),
         ("servo", {"damping": [-1.0] * 7}, "world.servo.damping is"),
         ("servo", {"finger_stiffness": float("inf")}, "world.servo.finger_stiffness is inf"),

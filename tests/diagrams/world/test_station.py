@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from pydrake.geometry import Role
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import JointActuatorIndex
 from pydrake.systems.analysis import Simulator
@@ -400,6 +401,31 @@ def test_picture_shows_which_spot_is_vacant(station):
 def test_a_larger_picture_can_be_asked_for():
     station = PickPlaceStation(World(camera=Camera(width=224, height=224)))
     assert picture(station).shape == (224, 224, 3)
+
+
+def test_the_renderer_holds_no_shape_that_the_camera_can_never_see(station):
+    """What is for people alone says so in its SDF file (perception_properties): each shape drawn takes its time."""
+    scene, plant = station.GetSubsystemByName("camera_scene"), station.plant
+    inspector, rng = scene.model_inspector(), np.random.default_rng(0)
+    unseen = set(inspector.GetAllGeometryIds(Role.kPerception))
+    assert unseen
+
+    def seen(joints, without=None):
+        context = station.CreateDefaultContext()
+        plant.SetPositions(plant.GetMyMutableContextFromRoot(context), station.arm, joints)
+        if without is not None:
+            scene_context = scene.GetMyMutableContextFromRoot(context)
+            scene.RemoveRole(scene_context, plant.get_source_id(), without, Role.kPerception)
+        return station.GetOutputPort("rgb_image").Eval(context).data.copy()
+
+    lower, upper, _ = controller_limits(station)
+    random = (rng.uniform(lower, upper)[:ARM_JOINTS] for _ in range(100))
+    for joints in (station.world.initial_posture[:ARM_JOINTS], *random):
+        whole = seen(joints)
+        unseen -= {shape for shape in unseen if not np.array_equal(whole, seen(joints, shape))}
+        if not unseen:
+            break
+    assert not {inspector.GetName(shape) for shape in unseen}
 
 
 def test_no_egl_is_a_clear_error(world, monkeypatch):
