@@ -137,9 +137,9 @@ class World:
         if late := self.timing.ticks_beside_a_step(TICKS_CHECKED):
             halved = period / 2 ** max(0, round(math.log2(period / step)))
             raise InputError(
-                f"world.timing.time_step {step} s: {late} of the first {TICKS_CHECKED} ticks of {period} s are no step of "
-                f"the plant to the last bit, and would see the posture a step late: choose {halved:g} (a period / 1, 2, 4, "
-                "8 ... meets every tick)"
+                f"world.timing.time_step {step} s: {late} of the first {TICKS_CHECKED} ticks of {period} s are no step "
+                "of the plant to the last bit, and would see the posture a step late: "
+                f"choose {halved:g} (a period / 1, 2, 4, 8 ... meets every tick)"
             )
         if not 0.0 < angle < 180.0:
             raise InputError(

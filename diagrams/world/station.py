@@ -49,6 +49,8 @@ def add_models(plant: MultibodyPlant, names: tuple[str, ...] | None = None) -> N
     directives = LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml")).directives
     models = [d.add_model for d in directives if d.add_model and (not names or d.add_model.name in names)]
     welds = [d.add_weld for d in directives if d.add_weld and (not names or d.add_weld.child.split("::")[0] in names)]
+    if any(model.default_joint_positions or model.default_free_body_pose for model in models):
+        raise InputError("sdf/pick_place.dmd.yaml gives a model defaults: give them in PickPlaceStation._set_defaults")
     # Not by ProcessModelDirectives: for each file that Drake opens, libsdformat reads its schema anew, which takes
     # 25 ms; for what a string includes, it does so once a process.
     included = "".join(f"<include><uri>{model.file}</uri><name>{model.name}</name></include>" for model in models)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from pydrake.geometry import Role
 from pydrake.multibody.math import SpatialVelocity
-from pydrake.multibody.tree import JointActuatorIndex
+from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, JointActuatorIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder, ConstantVectorSource, LogVectorOutput, Sine, ZeroOrderHold
@@ -17,7 +19,7 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource, LogVectorOut
 from diagrams.world import station as station_module
 from diagrams.world.configuration import Camera, Timing, World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS
-from diagrams.world.station import PickPlaceStation, arm_plant, controller_limits
+from diagrams.world.station import PickPlaceStation, add_models, arm_plant, controller_limits
 from models.command_line import ROOT
 from models.errors import InputError
 from tests.diagrams.world.station_runs import hand_to_can, picture, play, posture, red_pixels, start, taught
@@ -80,6 +82,27 @@ def test_limits_efforts_and_speeds_are_the_public_figures(station, j):
     limits = [joint.position_lower_limit(), joint.position_upper_limit(), joint.velocity_upper_limit()]
     assert np.rad2deg(limits) == pytest.approx([lower, upper, speed])
     assert station.plant.GetJointActuatorByName(f"joint_{j + 1}").effort_limit() == effort
+
+
+def test_the_models_are_those_that_drake_reads_from_the_directives():
+    """Each body of the same model, with the same mass, at the same place."""
+    own, drakes = MultibodyPlant(0.0), MultibodyPlant(0.0)
+    add_models(own)
+    parser = Parser(drakes)
+    parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
+    ProcessModelDirectives(LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml")), parser)
+
+    def bodies(plant):
+        plant.Finalize()
+        context = plant.CreateDefaultContext()
+        found = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]  # 0 is the world
+        return [
+            (str(b.scoped_name()), b.default_mass(), b.EvalPoseInWorld(context).GetAsMatrix34().tobytes())
+            for b in found
+        ]
+
+    assert bodies(own) == bodies(drakes)
+    assert own.num_joints() == drakes.num_joints()
 
 
 def test_the_fingers_open_four_centimetres_each(station):
