@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from diagrams.episodes.episode import Episode
+from diagrams.episodes.record import ARRAYS
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.tick_table import PARTS, tick_table, tick_times
 from tests.diagrams.closed_loop_fakes import FakeEncoder, FakePolicy
@@ -62,5 +63,5 @@ def test_every_moment_is_counted_once(profiled):
 
 def test_the_run_is_the_same_to_the_bit(profiled):
     _, one, other = profiled
-    for name in ("posture", "desired_posture", "features", "hidden_state"):
+    for name in ARRAYS:
         assert np.array_equal(getattr(one, name), getattr(other, name))
