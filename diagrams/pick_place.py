@@ -5,11 +5,13 @@
 Exit code 0: task done; 1: the task failed; 2: bad input.
 """
 
+import cProfile
 import json
 import logging
 import math
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -45,6 +47,7 @@ class PickPlaceArguments(Scenario):
     record: Path | None = None  # .npz of every tick, with pictures, for figures.py and analysis.py
     meshcat: bool = False  # show the run live, on this machine only
     realtime_rate: float = 0.0  # 1: as fast as the real arm; 0: as fast as possible
+    profile: bool = False  # print where a tick's time goes
 
 
 def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
@@ -68,14 +71,14 @@ def main(cli: PickPlaceArguments) -> int:
     from pydrake.geometry import Meshcat, MeshcatParams
     from tqdm import tqdm
 
+    from diagrams.drawing import PLOT_FORMATS
     from diagrams.drawing.graph import FORMATS as GRAPH_FORMATS
     from diagrams.drawing.graph import save_graph
-    from diagrams.drawing.timeline import FORMATS as PLOT_FORMATS
-    from diagrams.drawing.timeline import save_timeline
     from diagrams.episodes.calibration import Controller, policy_file, require_named, stored_calibration
     from diagrams.episodes.record import save_record
     from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
+    from diagrams.episodes.tick_table import tick_table
 
     formats = {
         cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
@@ -104,7 +107,8 @@ def main(cli: PickPlaceArguments) -> int:
     (x, y), kind = episode.can_xy, episode.disturbance.kind
     print(f"can at ({x:.3f}, {y:.3f}) m, {episode.vacant} spot vacant, disturbance {kind}", flush=True)
     meshcat.StartRecording(set_visualizations_while_recording=cli.meshcat)
-    with tqdm(unit="tick", leave=False, disable=None) as bar:
+    profiler = cProfile.Profile()
+    with tqdm(unit="tick", leave=False, disable=None) as bar, profiler if cli.profile else nullcontext():
         outcome, record = rollout.run(
             episode,
             on_event=lambda seconds, what: tqdm.write(f"{seconds:6.1f} s  {what}"),
@@ -123,7 +127,13 @@ def main(cli: PickPlaceArguments) -> int:
         rollout.video.Save()
     cli.replay.write_text(meshcat.StaticHtml())
     title = f"{rollout.policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
-    _draw("timeline", lambda: save_timeline(record, cli.plot, title))
+
+    def draw_timeline() -> None:
+        from diagrams.drawing.timeline import save_timeline  # not before the run: matplotlib
+
+        save_timeline(record, cli.plot, title)
+
+    _draw("timeline", draw_timeline)
     _draw("diagram", lambda: save_graph(rollout.diagram, cli.graphviz))
     stages = {"picked": outcome.picked, "placed": outcome.placed, "at the initial posture": outcome.home}
     print(f"task {word}: " + ", ".join(f"{stage} {'yes' if reached else 'no'}" for stage, reached in stages.items()))
@@ -133,6 +143,8 @@ def main(cli: PickPlaceArguments) -> int:
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))
     rate = f"{outcome.realtime_factor:.1f} times real time"
     print(f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({rate})")
+    if cli.profile:
+        print(tick_table(profiler, len(record.time)))
     print(f"written: {', '.join(str(path) for path in written if path.exists())}")
     return 0 if outcome.success else 1
 

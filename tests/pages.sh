@@ -30,7 +30,7 @@ smaller() {
   cat <<'SED'
 # The suite has its own check, .ci/run; ratios of benchmarks need a machine on which nothing else runs.
 s/pytest -n 2 --dist loadfile/pytest tests\/test_pages.py/
-s/ --benchmark-enable//
+s/ --measure//
 # Sweeps: one episode of each combination, one training seed, two gammas, one disturbance for the other detectors.
 /sweep\.py/s/--episodes [0-9]+/--episodes 1/
 /sweep\.py/s/--training-seeds 0 1 2/--training-seeds 0/

@@ -21,7 +21,7 @@ NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # The programs with commands; every other program takes options alone.
 SUBCOMMANDS = {"diagrams.analysis": tuple(ANALYSES), "models.training.__main__": tuple(training_commands())}
 PROGRAMS = (*(f"diagrams.{path.stem}" for path in ROOT.glob("diagrams/[a-z]*.py")), "models.training.__main__")
-FOREIGN = {"--benchmark-enable", "--index-url", "--help"}  # pytest's, pip's, everybody's
+FOREIGN = {"--measure", "--index-url", "--help"}  # pytest's, pip's, everybody's
 
 
 def commands(text):

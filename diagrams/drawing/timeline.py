@@ -10,12 +10,11 @@ from diagrams.episodes.record import Record
 from diagrams.episodes.switching import GUARD
 from diagrams.world.names import ARM_JOINTS
 
-FORMATS = (".png", ".svg", ".pdf")
 LABELLED = ("disturb", "switched", "initial posture", "resumes", "picked", "placed", "taken")
 
 
 def save_timeline(record: Record, path: Path, title: str) -> None:
-    """Writes the picture of one run to `path` (see FORMATS): with the fingers, the detector's errors and the events."""
+    """Writes the picture of one run to `path`, see PLOT_FORMATS: with fingers, the detector's errors and the events."""
     figure, axes = new_figure(5, 1, figsize=(11, 9), sharex=True, height_ratios=(3, 1.6, 1.6, 1.4, 1.4))
     _draw_signals([*axes[:3], axes[4]], record)
     fingers = axes[0].twinx()

@@ -1,6 +1,7 @@
 """CollisionChecker: does a straight joint motion of the arm, with or without the can in its hand, touch the scene?"""
 
 import numpy as np
+from pydrake.geometry import Role
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
@@ -25,12 +26,12 @@ class CollisionChecker:
         self._context = diagram.CreateDefaultContext()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
         self._query = lambda: scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(self._context))
-        self._inspector = scene_graph.model_inspector()
         self._gap, self._arm = gap, self._plant.GetModelInstanceByName("arm")
-
-    def _owner(self, geometry) -> str:
-        body = self._plant.GetBodyFromFrameId(self._inspector.GetFrameId(geometry))
-        return self._plant.GetModelInstanceName(body.model_instance())
+        inspector = scene_graph.model_inspector()
+        self._owner = {}  # name of the model that a shape belongs to
+        for shape in inspector.GetAllGeometryIds(Role.kProximity):
+            body = self._plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
+            self._owner[shape] = self._plant.GetModelInstanceName(body.model_instance())
 
     def _place(self, can: str, X_WC: RigidTransform) -> None:
         self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, can_body(self._plant, can), X_WC)
@@ -57,7 +58,7 @@ class CollisionChecker:
             self._place(CANS[0], RigidTransform(X_WG.rotation(), upright.translation()))
             moving.add(CANS[0])
         for pair in self._query().ComputeSignedDistancePairwiseClosestPoints(self._gap):
-            a, b = self._owner(pair.id_A), self._owner(pair.id_B)
+            a, b = self._owner[pair.id_A], self._owner[pair.id_B]
             if (a in moving) != (b in moving):
                 return b if a in moving else a
         return None

@@ -15,6 +15,7 @@ from models.errors import InputError
 from systems.arguments import require_count, require_positive, require_vector
 
 LARGEST_PICTURE = 2048  # pixels a side
+TICKS_CHECKED = 10_000  # of the loop against the steps of the plant
 POSITIVE = (
     "timing.time_step", "timing.period", "servo.finger_stiffness", "servo.finger_damping", "grid.spacing",
     "regulator.state_weight", "regulator.input_weight",
@@ -26,7 +27,16 @@ class Timing:
     """Periods of the loop."""
 
     period: float = 0.1  # control tick, s (ten frames a second, Sec. IV-A)
-    time_step: float = 0.01  # step of the discrete plant, s
+    time_step: float = 0.0125  # step of the discrete plant, s: period / 8, see ticks_beside_a_step
+
+    def ticks_beside_a_step(self, count: int) -> int:
+        """How many of the first `count` ticks are no step of the plant: Drake counts both as k * period in doubles.
+
+        One ulp later than the step, and the tick's updates run after it and see the state that it made.
+        """
+        k = np.arange(count)
+        steps = max(1, round(self.period / self.time_step))  # a tick
+        return int(np.count_nonzero(k * self.period != k * steps * self.time_step))
 
 
 @dataclass
@@ -124,8 +134,13 @@ class World:
                     f"a world.camera of {size} pixels is too large: choose at most {LARGEST_PICTURE} a side"
                 )
         period, step, angle = self.timing.period, self.timing.time_step, self.camera.field_of_view_deg
-        if period < step or abs(math.remainder(period, step)) > 1e-6 * step:
-            raise InputError(f"world.timing.period {period} s is no multiple of time_step {step} s: change one of them")
+        if late := self.timing.ticks_beside_a_step(TICKS_CHECKED):
+            halved = period / 2 ** max(0, round(math.log2(period / step)))
+            raise InputError(
+                f"world.timing.time_step {step} s: {late} of the first {TICKS_CHECKED} ticks of {period} s are no step "
+                "of the plant to the last bit, and would see the posture a step late: "
+                f"choose {halved:g} (a period / 1, 2, 4, 8 ... meets every tick)"
+            )
         if not 0.0 < angle < 180.0:
             raise InputError(
                 f"world.camera.field_of_view_deg {angle} is no angle of view: choose more than 0, below 180"

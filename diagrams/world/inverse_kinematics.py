@@ -18,6 +18,7 @@ class HandKinematics:
     def __init__(self, preferred_joints: np.ndarray):
         """`preferred_joints`: (7,) rad."""
         self._plant = arm_plant()
+        self._context = self._plant.CreateDefaultContext()
         self._preferred = np.append(preferred_joints, [0.0, 0.0])
         self.lower = self._plant.GetPositionLowerLimits()[:ARM_JOINTS]
         self.upper = self._plant.GetPositionUpperLimits()[:ARM_JOINTS]
@@ -53,6 +54,5 @@ class HandKinematics:
 
     def grasp_position(self, joints: np.ndarray) -> np.ndarray:
         """(3,) position of the grasp frame, m, world."""
-        context = self._plant.CreateDefaultContext()
-        self._plant.SetPositions(context, np.append(joints, [0.0, 0.0]))
-        return self._plant.GetFrameByName("grasp").CalcPoseInWorld(context).translation()
+        self._plant.SetPositions(self._context, np.append(joints, [0.0, 0.0]))
+        return self._plant.GetFrameByName("grasp").CalcPoseInWorld(self._context).translation()

@@ -14,11 +14,16 @@ from pydrake.geometry import (
     MakeRenderEngineVtk,
     RenderCameraCore,
     RenderEngineVtkParams,
-    SceneGraph,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialVelocity
-from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
+from pydrake.multibody.parsing import (
+    GetScopedFrameByName,
+    LoadModelDirectives,
+    ModelDirectives,
+    Parser,
+    ProcessModelDirectives,
+)
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant, MultibodyPlantConfig
 from pydrake.multibody.tree import PdControllerGains, RigidBody
 from pydrake.systems.controllers import InverseDynamics
@@ -41,13 +46,20 @@ def add_models(plant: MultibodyPlant, names: tuple[str, ...] | None = None) -> N
     """Adds the models of sdf/pick_place.dmd.yaml to `plant`; with `names`, only those, and their welds."""
     parser = Parser(plant)
     parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
-    directives = LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml"))
-    if names is not None:
-        directives.directives = [
-            d for d in directives.directives
-            if (d.add_model and d.add_model.name in names) or (d.add_weld and d.add_weld.child.split("::")[0] in names)
-        ]  # fmt: skip
-    ProcessModelDirectives(directives, parser)
+    directives = LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml")).directives
+    models = [d.add_model for d in directives if d.add_model and (not names or d.add_model.name in names)]
+    welds = [d.add_weld for d in directives if d.add_weld and (not names or d.add_weld.child.split("::")[0] in names)]
+    if any(model.default_joint_positions or model.default_free_body_pose for model in models):
+        raise InputError("sdf/pick_place.dmd.yaml gives a model defaults: give them in PickPlaceStation._set_defaults")
+    # Not by ProcessModelDirectives: for each file that Drake opens, libsdformat reads its schema anew, which takes
+    # 25 ms; for what a string includes, it does so once a process.
+    included = "".join(f"<include><uri>{model.file}</uri><name>{model.name}</name></include>" for model in models)
+    parser.AddModelsFromString(f'<sdf version="1.9"><world name="models">{included}</world></sdf>', "sdf")
+    others = [d for d in directives if not d.add_model and not d.add_weld and not names]
+    ProcessModelDirectives(ModelDirectives(directives=others), parser)
+    for weld in welds:
+        parent, child = (GetScopedFrameByName(plant, name) for name in (weld.parent, weld.child))
+        plant.WeldFrames(parent, child, weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform())
 
 
 def can_body(plant: MultibodyPlant, name: str) -> RigidBody:
@@ -193,17 +205,13 @@ class PickPlaceStation(Diagram):
         builder.Connect(torque.get_output_port(), self.plant.get_actuation_input_port(self.arm))
 
     def _add_camera(self, builder: DiagramBuilder, film_camera: bool) -> None:
-        # The renderer looks at a second scene graph that follows the plant's positions: it moves its shapes when an
-        # image is pulled, ten times a second; in the plant's own scene graph it would do so at every step of the plant,
-        # which takes longer than the physics.
-        self.scene_plant = MultibodyPlant(0.0)
-        scene = builder.AddNamedSystem("camera_scene", SceneGraph())
-        self.scene_plant.RegisterAsSourceForSceneGraph(scene)
-        add_models(self.scene_plant)
-        self.scene_plant.Finalize()
-        poses = builder.AddNamedSystem("camera_scene_poses", MultibodyPositionToGeometryPose(self.scene_plant, True))
+        # The renderer looks at a copy of the scene graph that follows the plant's positions: it moves its shapes when
+        # an image is pulled, ten times a second; in the plant's own scene graph it would do so at every step of the
+        # plant, which takes longer than the physics.
+        scene = builder.AddNamedSystem("camera_scene", self.scene_graph.Clone())
+        poses = builder.AddNamedSystem("camera_scene_poses", MultibodyPositionToGeometryPose(self.plant, True))
         builder.Connect(self.plant.get_state_output_port(), poses.get_input_port())
-        builder.Connect(poses.get_output_port(), scene.get_source_pose_port(self.scene_plant.get_source_id()))
+        builder.Connect(poses.get_output_port(), scene.get_source_pose_port(self.plant.get_source_id()))
         if not film_camera:
             # In software, the calling thread draws a picture this small faster than it wakes others for it.
             os.environ.setdefault("LP_NUM_THREADS", "0")
@@ -233,8 +241,8 @@ class PickPlaceStation(Diagram):
         info = CameraInfo(width=width, height=height, fov_y=np.deg2rad(fov_deg))
         core = RenderCameraCore(RENDERER, info, ClippingRange(0.1, 5.0), RigidTransform())
         colour, depth = ColorRenderCamera(core), DepthRenderCamera(core, DepthRange(0.2, 4.0))
-        frame = self.scene_plant.GetFrameByName(frame_name)
-        body = self.scene_plant.GetBodyFrameIdOrThrow(frame.body().index())
+        frame = self.plant.GetFrameByName(frame_name)
+        body = self.plant.GetBodyFrameIdOrThrow(frame.body().index())
         sensor = RgbdSensor(body, frame.GetFixedPoseInBodyFrame(), colour, depth)
         builder.AddNamedSystem(frame_name, sensor)
         builder.Connect(scene.get_query_output_port(), sensor.query_object_input_port())

@@ -81,7 +81,7 @@ def test_states_writes_its_files(tmp_path, weights, capsys):
 
 
 def test_the_world_is_that_of_the_scenario(tmp_path, weights):
-    (tmp_path / "s.yaml").write_text("world:\n  timing:\n    time_step: 0.005\n")
+    (tmp_path / "s.yaml").write_text("world:\n  timing:\n    time_step: 0.00625\n")
     asked = ["states", "--weights", weights, "--scenario", str(tmp_path / "s.yaml"), "--out", str(tmp_path)]
     assert main(parse(asked)) == 0
     periods = {s["owner"]: s["period"] for s in json.loads((tmp_path / "states.json").read_text())["states"]}

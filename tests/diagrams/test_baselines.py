@@ -163,7 +163,7 @@ def test_other_settings_are_refused(folder, data, asked, tmp_path):
     before = (folder / "subspace.safetensors").read_bytes()
     with pytest.raises(InputError, match=r"subspace.safetensors was made with other disturbed \(3\)"):
         baselines.main(replace(given, disturbed=2))
-    (tmp_path / "world.yaml").write_text("world: {timing: {time_step: 0.005}}\n")
+    (tmp_path / "world.yaml").write_text("world: {timing: {time_step: 0.00625}}\n")
     with pytest.raises(InputError, match=r"made with other world"):
         baselines.main(replace(given, scenario=tmp_path / "world.yaml"))
     assert not asked

@@ -106,11 +106,11 @@ def test_the_scenario_s_world_is_run(candidates, monkeypatch, tmp_path):
         pass
 
     def run_episode(job):
-        assert job.world.timing.time_step == 0.005
+        assert job.world.timing.time_step == 0.00625
         raise Enough
 
     monkeypatch.setattr(validation, "run_episode", run_episode)
-    (tmp_path / "world.yaml").write_text("world: {timing: {time_step: 0.005}}\n")
+    (tmp_path / "world.yaml").write_text("world: {timing: {time_step: 0.00625}}\n")
     with pytest.raises(Enough):
         calibrate.main(arguments(candidates, scenario=tmp_path / "world.yaml"))
 

@@ -5,6 +5,7 @@ Exit codes, one clear line for bad input, options over YAML, what it leaves behi
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from diagrams import pick_place
+from diagrams.episodes.tick_table import PARTS
 from diagrams.pick_place import parse
 from diagrams.world.names import WEIGHTS
 from models.command_line import ROOT
@@ -130,13 +132,13 @@ def test_options_go_over_the_file_and_the_file_over_the_defaults(tmp_path):
 
 def test_options():
     words = """--rnn gru --disturbance B --seed 3 --can 0.5 0.01 --vacant left --graphviz g.dot --video v.mp4 --meshcat
-        --replay r.html --record r.npz --plot p.png --realtime-rate 1.0 --json o.json"""
+        --replay r.html --record r.npz --plot p.png --realtime-rate 1.0 --json o.json --profile"""
     cli = parse(words.split())
     assert (cli.rnn, cli.disturbance.kind, cli.seed, list(cli.can), cli.vacant) == ("gru", "B", 3, [0.5, 0.01], "left")
     assert [str(p) for p in (cli.graphviz, cli.video, cli.replay, cli.record, cli.plot, cli.json)] == [
         "g.dot", "v.mp4", "r.html", "r.npz", "p.png", "o.json",
     ]  # fmt: skip
-    assert (cli.meshcat, cli.realtime_rate) == (True, 1.0)
+    assert (cli.meshcat, cli.realtime_rate, cli.profile) == (True, 1.0, True)
 
 
 def test_help_into_a_closed_pipe_ends_quietly():
@@ -178,16 +180,16 @@ def test_failed_task_has_code_1_and_a_whole_summary(tmp_path, untrained):
 
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory):
-    """The program with no argument but --json, on the shipped weights, twice: (folder, what it printed)."""
+    """The program on the shipped weights, then once more with its profile: (folder, what it printed) of each."""
     for name in ("encoder", "lstm"):
         path = WEIGHTS / f"{name}.onnx"
         assert path.is_file(), (
             f"{path} is not there: the weights belong to the repository (see the README for training)"
         )
     runs = []
-    for n in range(2):
-        folder = tmp_path_factory.mktemp(f"run_{n}")
-        runs.append((folder, start(folder, "--json", "outputs/outcome.json")))
+    for options in ((), ("--profile",)):
+        folder = tmp_path_factory.mktemp("run")
+        runs.append((folder, start(folder, "--json", "outputs/outcome.json", *options)))
     return runs
 
 
@@ -236,6 +238,15 @@ def test_pictures_are_there(shipped):
     page = (outputs / "replay.html").read_text()
     assert page.lstrip().startswith("<!DOCTYPE html>")
     assert '<script src="http' not in page  # it opens offline
+
+
+def test_the_profile_is_printed_where_asked_for(shipped):
+    (_, plain), (_, profiled) = shipped
+    rows = re.findall(r"^(\w[\w ]*\w) +(\d+\.\d\d) ms +(\d+)%$", profiled.stdout, re.MULTILINE)
+    assert [row[0] for row in rows] == [*PARTS, "tick"]
+    assert sum(float(row[1]) for row in rows[:-1]) == pytest.approx(float(rows[-1][1]), abs=0.04)
+    assert rows[-1][2] == "100"
+    assert "rendering" not in plain.stdout
 
 
 def test_second_run_is_the_same(shipped):

@@ -90,11 +90,11 @@ def test_a_folder_that_cannot_be_written_is_named():
 
 
 def test_the_fingerprint_knows_world_and_code(tmp_path):
-    first, other = fingerprint(World()), fingerprint(World(timing=Timing(time_step=0.005)))
+    first, other = fingerprint(World()), fingerprint(World(timing=Timing(time_step=0.00625)))
     assert first == fingerprint(World())
     assert {name for name in first if first[name] != other[name]} == {"world.timing.time_step"}
     assert code_hash() != code_hash("diagrams/hybrid")
     path = tmp_path / "rows"
     RowStore(path, first).__exit__()
-    with pytest.raises(InputError, match=r"another world.timing.time_step \(0.01, now 0.005\)"):
+    with pytest.raises(InputError, match=r"another world.timing.time_step \(0.0125, now 0.00625\)"):
         RowStore(path, other)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagrams.world.configuration import Grid, World
+from diagrams.world.configuration import Grid, Timing, World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.scenario import Scenario, load_scenario
 from models.errors import InputError
@@ -63,8 +63,9 @@ def test_choices_are_checked(change, named):
     [
         ("timing", {"time_step": 0.0}, "world.timing.time_step is 0.0"),
         ("timing", {"period": float("nan")}, "world.timing.period is nan"),
-        ("timing", {"period": 0.015}, "no multiple of time_step"),
-        ("timing", {"period": 0.001}, "no multiple of time_step"),
+        ("timing", {"time_step": 0.01}, "time_step 0.01 s: 1732 of the first 10000 .* choose 0.0125 "),
+        ("timing", {"period": 0.015}, "time_step 0.0125 s: 9999 .* choose 0.015 "),
+        ("timing", {"period": 0.001}, "time_step 0.0125 s: 9999 .* choose 0.001 "),
         ("servo", {"stiffness": [1.0, 2.0]}, "world.servo.stiffness has shape"),
         ("servo", {"damping": [-1.0] * 7}, "world.servo.damping is"),
         ("servo", {"finger_stiffness": float("inf")}, "world.servo.finger_stiffness is inf"),
@@ -91,6 +92,12 @@ def test_what_is_no_world_is_named(part, values, named):
 
 def test_the_defaults_pass():
     Scenario().check()
+
+
+@pytest.mark.parametrize("period", [0.1, 0.07, 1 / 3, 2.5])
+@pytest.mark.parametrize("halvings", range(7))
+def test_halves_of_a_period_meet_every_tick(period, halvings):
+    World(timing=Timing(period, period / 2**halvings)).check()
 
 
 def test_half_of_the_grid_is_trained():

@@ -7,19 +7,21 @@ import sys
 
 import numpy as np
 import pytest
+from pydrake.geometry import Role
 from pydrake.multibody.math import SpatialVelocity
-from pydrake.multibody.tree import JointActuatorIndex
+from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, JointActuatorIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.primitives import Adder, ConstantVectorSource, LogVectorOutput, Sine, ZeroOrderHold
 
 from diagrams.world import station as station_module
-from diagrams.world.configuration import Camera, World
+from diagrams.world.configuration import Camera, Timing, World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS
-from diagrams.world.station import PickPlaceStation, arm_plant, controller_limits
+from diagrams.world.station import PickPlaceStation, add_models, arm_plant, controller_limits
 from models.command_line import ROOT
 from models.errors import InputError
-from systems.posture_history import PostureHistory
 from tests.diagrams.world.station_runs import hand_to_can, picture, play, posture, red_pixels, start, taught
 
 # The public figures of the 7-axis arm, as sdf/torobo_arm.sdf states them: limits (deg), effort (N m), speed (deg/s).
@@ -80,6 +82,27 @@ def test_limits_efforts_and_speeds_are_the_public_figures(station, j):
     limits = [joint.position_lower_limit(), joint.position_upper_limit(), joint.velocity_upper_limit()]
     assert np.rad2deg(limits) == pytest.approx([lower, upper, speed])
     assert station.plant.GetJointActuatorByName(f"joint_{j + 1}").effort_limit() == effort
+
+
+def test_the_models_are_those_that_drake_reads_from_the_directives():
+    """Each body of the same model, with the same mass, at the same place."""
+    own, drakes = MultibodyPlant(0.0), MultibodyPlant(0.0)
+    add_models(own)
+    parser = Parser(drakes)
+    parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
+    ProcessModelDirectives(LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml")), parser)
+
+    def bodies(plant):
+        plant.Finalize()
+        context = plant.CreateDefaultContext()
+        found = [plant.get_body(BodyIndex(i)) for i in range(1, plant.num_bodies())]  # 0 is the world
+        return [
+            (str(b.scoped_name()), b.default_mass(), b.EvalPoseInWorld(context).GetAsMatrix34().tobytes())
+            for b in found
+        ]
+
+    assert bodies(own) == bodies(drakes)
+    assert own.num_joints() == drakes.num_joints()
 
 
 def test_the_fingers_open_four_centimetres_each(station):
@@ -155,28 +178,40 @@ def test_outputs_of_the_plant_are_not_sampled(station):
     assert not station.plant.has_sampled_output_ports()
 
 
-def test_an_update_at_the_tick_sees_the_posture_at_the_tick(world):
+def late_ticks(time_step, count):
+    """How many of `count` ticks, by a 10 Hz update, see another posture than the plant has after k * 0.1 s of steps."""
+    world = World(timing=Timing(time_step=time_step))
+    period, steps = world.timing.period, round(world.timing.period / time_step)
     builder = DiagramBuilder()
     station = builder.AddSystem(PickPlaceStation(world, camera=False))
-    goal = world.initial_posture + np.array([0.3, 0.3, 0, -0.3, 0, 0, 0, 0])
-    source = builder.AddSystem(ConstantVectorSource(goal))
-    history = builder.AddSystem(
-        PostureHistory(posture_size=8, horizon=2, period=world.timing.period, initial_posture=world.initial_posture)
-    )
-    builder.Connect(source.get_output_port(), station.GetInputPort("desired_posture"))
-    builder.Connect(station.GetOutputPort("posture"), history.get_input_port())
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
+    swing = np.array([0.3, 0.2, 0.3, 0.2, 0.3, 0.3, 0.3, 0.0])  # rad: never twice the same posture
+    sine = builder.AddSystem(Sine(swing, np.linspace(1.0, 2.0, 8), np.zeros(8)))
+    home, command = builder.AddSystem(ConstantVectorSource(world.initial_posture)), builder.AddSystem(Adder(2, 8))
+    update = builder.AddSystem(ZeroOrderHold(period, 8))
+    builder.Connect(sine.get_output_port(0), command.get_input_port(0))
+    builder.Connect(home.get_output_port(), command.get_input_port(1))
+    builder.Connect(command.get_output_port(), station.GetInputPort("desired_posture"))
+    builder.Connect(station.GetOutputPort("posture"), update.get_input_port())
+    after_steps = LogVectorOutput(station.GetOutputPort("posture"), builder, time_step)  # row n: after n steps
+    simulator = Simulator(builder.Build())
     seen = []
-    for k in range(4):
-        if k:  # AdvanceTo(0) already does the updates of tick 0
-            simulator.AdvanceTo(k * world.timing.period)
-        seen.append(posture(station, station.GetMyContextFromRoot(context)))
-        simulator.AdvanceTo((k + 0.5) * world.timing.period)
-        sampled = history.GetOutputPort("posture").Eval(history.GetMyContextFromRoot(context))
-        assert np.array_equal(sampled, seen[-1])
-    assert np.abs(np.diff(seen, axis=0)).max(axis=1).min() > 1e-4  # it moves meanwhile
+    for k in range(count):
+        simulator.AdvanceTo((k + 0.5) * period)
+        seen.append(update.get_output_port().Eval(update.GetMyContextFromRoot(simulator.get_context())))
+    rows = after_steps.FindLog(simulator.get_context()).data().T[::steps][:count]
+    assert np.abs(np.diff(rows[:, :7], axis=0)).max(axis=1).min() > 1e-4  # it moves meanwhile
+    return np.count_nonzero((np.array(seen) != rows).any(axis=1))
+
+
+def test_no_update_of_1000_sees_the_posture_a_step_late(world):
+    assert late_ticks(world.timing.time_step, 1000) == 0
+
+
+def test_a_step_that_is_not_exact_in_binary_is_late_and_is_refused():
+    timing = Timing(time_step=0.01)
+    late = late_ticks(0.01, 100)
+    assert late > 10
+    assert late == timing.ticks_beside_a_step(100)
 
 
 def test_servo_gains_are_really_set(station):
@@ -389,6 +424,31 @@ def test_picture_shows_which_spot_is_vacant(station):
 def test_a_larger_picture_can_be_asked_for():
     station = PickPlaceStation(World(camera=Camera(width=224, height=224)))
     assert picture(station).shape == (224, 224, 3)
+
+
+def test_the_renderer_holds_no_shape_that_the_camera_can_never_see(station):
+    """What is for people alone says so in its SDF file (perception_properties): each shape drawn takes its time."""
+    scene, plant = station.GetSubsystemByName("camera_scene"), station.plant
+    inspector, rng = scene.model_inspector(), np.random.default_rng(0)
+    unseen = set(inspector.GetAllGeometryIds(Role.kPerception))
+    assert unseen
+
+    def seen(joints, without=None):
+        context = station.CreateDefaultContext()
+        plant.SetPositions(plant.GetMyMutableContextFromRoot(context), station.arm, joints)
+        if without is not None:
+            scene_context = scene.GetMyMutableContextFromRoot(context)
+            scene.RemoveRole(scene_context, plant.get_source_id(), without, Role.kPerception)
+        return station.GetOutputPort("rgb_image").Eval(context).data.copy()
+
+    lower, upper, _ = controller_limits(station)
+    random = (rng.uniform(lower, upper)[:ARM_JOINTS] for _ in range(100))
+    for joints in (station.world.initial_posture[:ARM_JOINTS], *random):
+        whole = seen(joints)
+        unseen -= {shape for shape in unseen if not np.array_equal(whole, seen(joints, shape))}
+        if not unseen:
+            break
+    assert not {inspector.GetName(shape) for shape in unseen}
 
 
 def test_no_egl_is_a_clear_error(world, monkeypatch):
