@@ -78,6 +78,41 @@ def test_weighted_loss_counts_a_moving_pixel_sixteen_fold(data_file: Path, tmp_p
     assert losses[16.0] == pytest.approx((still + 16 * moving) / 17, rel=1e-5)
 
 
+def test_precision_is_what_the_processor_multiplies(
+    data_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = CaeOptions(data=data_file, out=tmp_path, device="cpu")
+    for capabilities, precision in (
+        ({"avx512_bf16": True}, "bfloat16"),
+        ({"avx512_bf16": False}, "float32"),
+        ({}, "float32"),
+    ):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda found=capabilities: found)
+        assert options.with_precision().as_metadata()["precision"] == precision
+        assert replace(options, precision="bfloat16").with_precision().precision == "bfloat16"
+
+
+def test_bfloat16_takes_the_layers_alone(data_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("models.networks.cae.HIDDEN", 20)
+    frames = load_frames(data_file)
+    losses, gradients = [], []
+    for precision, expected in (("float32", torch.float32), ("bfloat16", torch.bfloat16)):
+        torch.manual_seed(0)
+        training = CaeTraining(CaeOptions(data=data_file, out=tmp_path, precision=precision), frames, {})
+        layers = training.model
+        seen: list[torch.dtype] = []
+        for layer in (layers.encoder.conv1, layers.encoder.full, layers.decoder.deconv0, layers.decoder.output):
+            layer.register_forward_hook(lambda _module, _inputs, out, seen=seen: seen.append(out.dtype))
+        loss, _ = training.loss(training.make_batch(0), 0)
+        loss.backward()
+        assert seen == [expected] * 4
+        assert {loss.dtype, *(parameter.grad.dtype for parameter in training.parameters())} == {torch.float32}
+        losses.append(loss.item())
+        gradients.append(layers.decoder.output.weight.grad.flatten())
+    assert losses[1] == pytest.approx(losses[0], rel=0.01)
+    assert torch.cosine_similarity(*gradients, dim=0) > 0.99
+
+
 def test_scaling_holds_what_the_network_has_to_say(data_file: Path) -> None:
     demos = read_demonstrations(data_file, "train")
     initial = demos[0].posture[0]
