@@ -86,7 +86,7 @@ class Loop(torch.autograd.Function):
         by_h_k, by_m_k = blocks[:, :, :past].unbind(0), blocks[:, :, past:].unbind(0)
         for k in range(ticks - 1, -1, -1):
             through_m = grad_m_k[k].addcmul_(grad_h_k[k], h_by_m_k[k])
-            torch.mul(through_m[:, None], m_by_a_k[k], out=by_m_k[k])
+            torch.mul(through_m.unsqueeze(1), m_by_a_k[k], out=by_m_k[k])
             if past:
                 torch.mul(wide_h_k[k], h_by_a_k[k], out=by_h_k[k])
             if not k:

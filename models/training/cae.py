@@ -109,10 +109,10 @@ class CaeTraining(Training):
         clean = to_image(batch.to(device))
         disturbed = augment(clean, options.noise, options.colour, generator)
         with torch.autocast(device.type, torch.bfloat16, enabled=options.precision == "bfloat16"):
-            feature = self.model.encode(disturbed)
+            feature = self.model.encode(disturbed).float()
             noise = torch.randn(feature.shape, generator=generator).to(device)
             decoded = self.model.decode(feature + options.feature_noise * noise)
-        error = (decoded - clean).square()
+        error = (decoded.float() - clean).square()
         # What stands still in all pictures is most of the area and tells nothing: the can is a few dozen pixels.
         moving = (clean - self.median).abs().amax(1, keepdim=True) > options.foreground_threshold
         weight = 1.0 + (options.foreground_weight - 1.0) * moving

@@ -16,10 +16,11 @@ from models.networks import NETWORKS
 from models.training.__main__ import main, parse
 from models.training.cae import CaeOptions, CaeTraining, augment, load_frames, median_image
 from models.training.recall import RecallOptions, RecallTraining, train_recall
-from models.training.rnn import RnnOptions, posture_scaling, train_rnn
+from models.training.rnn import RnnOptions, RnnTraining, posture_scaling, train_rnn
 from models.training.trainer import step_generator
 from tests.models import synthetic
 from tests.models.conftest import make_policy
+from tests.models.data.test_sequences import random_pack
 from tests.models.outside import Elman
 
 
@@ -164,6 +165,26 @@ def test_network_that_is_not_here_is_named(tmp_path: Path, rnn_options: RnnOptio
             load_policy(tmp_path / "p.safetensors")
         with pytest.raises(InputError, match=named):
             train_rnn(replace(rnn_options, rnn=spec, out=tmp_path))
+
+
+def test_no_tensor_of_an_update_or_validation_stays_behind_on_the_cpu(
+    rnn_options: RnnOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the device "meta", whose tensors hold no numbers and refuse to be mixed with others'."""
+    to_list, run = torch.Tensor.tolist, lambda rnn, batch, state: rnn(batch.x, batch.closed, state)
+    monkeypatch.setattr(torch.Tensor, "tolist", lambda t: [True] * len(t) if t.is_meta else to_list(t))
+    monkeypatch.setattr(torch.Tensor, "__float__", lambda t: 0.0)
+    for module in ("rnn", "metrics"):
+        monkeypatch.setattr(f"models.training.{module}.run", run)
+    for name in ("gru", "mtrnn"):
+        policy = make_policy(name, recall=False)
+        pack = random_pack(4, 25, 10)
+        training = RnnTraining(replace(rnn_options, rnn=name, out=tmp_path), pack, pack, policy).to("meta")
+        loss, figures = training.loss(training.make_batch(0), 0)
+        loss.backward()
+        assert {value.device.type for value in (loss, *figures.values())} == {"meta"}
+        assert all(parameter.grad.is_meta for parameter in training.parameters())
+        assert set(training.validate(2)) >= {"open", "auto", "start", "done"}
 
 
 def test_rnn_trained_further_knows_its_ancestor(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
