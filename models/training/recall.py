@@ -76,7 +76,7 @@ class RecallTraining(SequenceTraining):
         valid = batch.valid[: len(states)] > 0
         target = recall_targets(batch.clean[: len(states)], self.options.horizon)
         loss = (self.heads(states[valid]) - target[valid]).square().mean()
-        first = self.heads(self.rnn.initial_state(1)) - self.initial
+        first = self.heads(self.rnn.initial_state(1)) - self.initial.to(self.pool.device)
         return loss + 0.01 * first.square().mean(), {"loss": loss, "rms": loss.sqrt()}
 
     def weight_file(self, done: int) -> Path | None:
@@ -93,7 +93,7 @@ def recall_errors(policy: StoredPolicy, pack: SequencePack) -> Tensor:
     """Mean squared scaled error of the joints (N,) for n = 1..N on clean sequences, inputs from the data."""
     assert policy.recall is not None
     initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
-    batch = make_batch(pack, initial, JOINTS, None, torch.Generator())
+    batch = make_batch(pack, initial, JOINTS, None, torch.Generator()).to(policy.rnn.output.weight.device)
     _, states = run(policy.rnn, batch, policy.rnn.initial_state(len(pack.length)))
     valid = batch.valid[: len(states)] > 0
     target = recall_targets(batch.clean[: len(states)], policy.recall.horizon)

@@ -119,7 +119,7 @@ class SequenceTraining(Training):
         carried = torch.rand(size, generator=generator) < self.carry_over
         start = torch.randint(0, POOL, (size,), generator=generator) * carried
         end = 1 + (step * size + torch.arange(size)) % (POOL - 1)
-        return batch, start, end
+        return batch.to(self.pool.device), start, end
 
     def run(self, data: tuple[Batch, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """y (T, B, 38) and states (T, B, S) from the pool's states; keeps the states for later sequences."""

@@ -15,6 +15,8 @@ import torch
 from models.errors import InputError
 from models.files.weights import file_hash, load_autoencoder, load_policy
 from models.training.__main__ import main, parse
+from models.training.cae import CaeOptions, train_cae
+from models.training.recall import RecallOptions, train_recall
 from models.training.rnn import RnnOptions, RnnTraining, train_rnn
 from models.training.trainer import Training
 
@@ -89,6 +91,33 @@ def test_autoencoder_resumes_bit_for_bit(data_file: Path, tmp_path: Path, monkey
     _, metadata = load_autoencoder(whole)
     assert (metadata["step"], metadata["data_hash"], metadata["training"]["max_images"]) == (2, "00" * 32, 8)
     assert "device" not in metadata["training"]
+
+
+def test_every_training_takes_the_gpu_where_there_is_one(
+    options: RnnOptions, unbroken: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recall = RecallOptions(
+        **{name: getattr(options, name) for name in ("data", "out", "encoder", "features")}, policy=(unbroken,)
+    )
+    cae = CaeOptions(data=options.data, out=options.out, precision="float32")
+    asked, move = [], torch.nn.Module.to
+
+    def to(module: torch.nn.Module, *args, **kwargs) -> torch.nn.Module:
+        if isinstance(module, Training):
+            asked.append(args[0])
+            if args[0] == "cuda":
+                raise RuntimeError("no CUDA device is free")
+        return move(module, *args, **kwargs)
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.nn.Module, "to", to)
+    for train, given in ((train_cae, cae), (train_rnn, options), (train_recall, recall)):
+        with pytest.raises(
+            InputError, match=r"--device cuda cannot be used \(no CUDA device is free\): choose auto, or cpu"
+        ):
+            train(given)
+    assert file_hash(train_rnn(replace(options, device="cpu"))) == file_hash(unbroken)
+    assert asked == ["cuda", "cuda", "cuda", "cpu"]
 
 
 def test_weight_file_that_a_kill_left_out_is_written_at_the_next_start(options: RnnOptions, unbroken: Path) -> None:

@@ -16,10 +16,11 @@ from models.networks import NETWORKS
 from models.training.__main__ import main, parse
 from models.training.cae import CaeOptions, CaeTraining, augment, load_frames, median_image
 from models.training.recall import RecallOptions, RecallTraining, train_recall
-from models.training.rnn import RnnOptions, posture_scaling, train_rnn
+from models.training.rnn import RnnOptions, RnnTraining, posture_scaling, train_rnn
 from models.training.trainer import step_generator
 from tests.models import synthetic
 from tests.models.conftest import make_policy
+from tests.models.data.test_sequences import random_pack
 from tests.models.outside import Elman
 
 
@@ -78,6 +79,41 @@ def test_weighted_loss_counts_a_moving_pixel_sixteen_fold(data_file: Path, tmp_p
     assert losses[16.0] == pytest.approx((still + 16 * moving) / 17, rel=1e-5)
 
 
+def test_precision_is_what_the_processor_multiplies(
+    data_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = CaeOptions(data=data_file, out=tmp_path, device="cpu")
+    for capabilities, precision in (
+        ({"avx512_bf16": True}, "bfloat16"),
+        ({"avx512_bf16": False}, "float32"),
+        ({}, "float32"),
+    ):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda found=capabilities: found)
+        assert options.with_precision().as_metadata()["precision"] == precision
+        assert replace(options, precision="bfloat16").with_precision().precision == "bfloat16"
+
+
+def test_bfloat16_takes_the_layers_alone(data_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("models.networks.cae.HIDDEN", 20)
+    frames = load_frames(data_file)
+    losses, gradients = [], []
+    for precision, expected in (("float32", torch.float32), ("bfloat16", torch.bfloat16)):
+        torch.manual_seed(0)
+        training = CaeTraining(CaeOptions(data=data_file, out=tmp_path, precision=precision), frames, {})
+        layers = training.model
+        seen: list[torch.dtype] = []
+        for layer in (layers.encoder.conv1, layers.encoder.full, layers.decoder.deconv0, layers.decoder.output):
+            layer.register_forward_hook(lambda _module, _inputs, out, seen=seen: seen.append(out.dtype))
+        loss, _ = training.loss(training.make_batch(0), 0)
+        loss.backward()
+        assert seen == [expected] * 4
+        assert {loss.dtype, *(parameter.grad.dtype for parameter in training.parameters())} == {torch.float32}
+        losses.append(loss.item())
+        gradients.append(layers.decoder.output.weight.grad.flatten())
+    assert losses[1] == pytest.approx(losses[0], rel=0.01)
+    assert torch.cosine_similarity(*gradients, dim=0) > 0.99
+
+
 def test_scaling_holds_what_the_network_has_to_say(data_file: Path) -> None:
     demos = read_demonstrations(data_file, "train")
     initial = demos[0].posture[0]
@@ -129,6 +165,26 @@ def test_network_that_is_not_here_is_named(tmp_path: Path, rnn_options: RnnOptio
             load_policy(tmp_path / "p.onnx")
         with pytest.raises(InputError, match=named):
             train_rnn(replace(rnn_options, rnn=spec, out=tmp_path))
+
+
+def test_no_tensor_of_an_update_or_validation_stays_behind_on_the_cpu(
+    rnn_options: RnnOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the device "meta", whose tensors hold no numbers and refuse to be mixed with others'."""
+    to_list, run = torch.Tensor.tolist, lambda rnn, batch, state: rnn(batch.x, batch.closed, state)
+    monkeypatch.setattr(torch.Tensor, "tolist", lambda t: [True] * len(t) if t.is_meta else to_list(t))
+    monkeypatch.setattr(torch.Tensor, "__float__", lambda t: 0.0)
+    for module in ("rnn", "metrics"):
+        monkeypatch.setattr(f"models.training.{module}.run", run)
+    for name in ("gru", "mtrnn"):
+        policy = make_policy(name, recall=False)
+        pack = random_pack(4, 25, 10)
+        training = RnnTraining(replace(rnn_options, rnn=name, out=tmp_path), pack, pack, policy).to("meta")
+        loss, figures = training.loss(training.make_batch(0), 0)
+        loss.backward()
+        assert {value.device.type for value in (loss, *figures.values())} == {"meta"}
+        assert all(parameter.grad.is_meta for parameter in training.parameters())
+        assert set(training.validate(2)) >= {"open", "auto", "start", "done"}
 
 
 def test_rnn_trained_further_knows_its_ancestor(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
