@@ -88,7 +88,7 @@ def draw_runs(
     """Figs. 5 to 7 of the records and outcomes `chosen`, by their disturbance; returns what is written."""
     from diagrams.drawing.paper_figures import save_reconstructions, save_states
     from diagrams.drawing.timeline import save_sequences
-    from diagrams.episodes.figure_numbers import decoder, principal_states, reconstructions
+    from diagrams.episodes.figure_numbers import coders, principal_states, reconstructions
 
     notes["episodes"] = {kind: outcome for kind, (_, outcome) in chosen.items()}
     for kind, outcome in notes["episodes"].items():
@@ -108,7 +108,7 @@ def draw_runs(
     title, record = list(records.items())[-1]
     if len(record.pictures):
         written.append(out / "fig6_reconstructions.png")
-        save_reconstructions(reconstructions(record, decoder(autoencoder)), written[-1])
+        save_reconstructions(reconstructions(record, *coders(autoencoder)), written[-1])
     else:
         print(f"Fig. 6: the record of {title} holds no pictures: left out")
     return sorted(written)

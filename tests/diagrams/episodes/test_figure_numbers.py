@@ -7,7 +7,7 @@ import torch
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.figure_numbers import (
     choose_records,
-    decoder,
+    coders,
     principal_states,
     recall_losses,
     reconstructions,
@@ -69,19 +69,26 @@ def test_runs_of_others_are_not_shown(tmp_path):
 
 def test_pictures_stand_next_to_what_happened():
     # Events at 0, 3.9 and 4.1 s: the two last have the same picture, that of tick 40.
-    columns = reconstructions(recorded_run(), lambda features: np.full((112, 112, 3), 100 * features[0], np.uint8))
+    columns = reconstructions(
+        recorded_run(),
+        lambda picture: np.full(30, picture[0, 0, 0] / 100 + 0.25),
+        lambda features: np.full((112, 112, 3), 100 * features[0], np.uint8),
+    )
     assert [(seconds, what.count(";")) for seconds, what, _ in columns] == [(0.0, 0), (4.0, 1)]
-    assert [[picture[0, 0, 0] for picture in pictures] for _, _, pictures in columns] == [[0, 25, 75], [8, 25, 75]]
+    assert [[picture[0, 0, 0] for picture in pictures] for _, _, pictures in columns] == [[0, 25, 75], [8, 33, 75]]
 
 
-def test_decoder_is_that_of_the_autoencoder(tmp_path):
+def test_coders_are_those_of_the_autoencoder(tmp_path):
     save_untrained(tmp_path)
     features = np.linspace(-1.0, 1.0, 30)
-    picture = decoder(tmp_path / "cae.safetensors")(features)
+    encode, decode = coders(tmp_path / "cae.safetensors")
+    picture = decode(features)
     assert (picture.shape, picture.dtype) == ((112, 112, 3), np.uint8)
     model, _ = load_autoencoder(tmp_path / "cae.safetensors")
     with torch.inference_mode():
         image = model.decode(torch.from_numpy(features)[None].float())[0].numpy()
+        features = model.encode(torch.from_numpy(picture / np.float32(255)).permute(2, 0, 1)[None])[0].numpy()
+    assert encode(picture) == pytest.approx(features, abs=1e-6)
     assert np.abs(picture / 255 - np.clip(image, 0, 1).transpose(1, 2, 0)).max() <= 1 / 255
 
 
