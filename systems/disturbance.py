@@ -106,9 +106,11 @@ class Disturbance(LeafSystem):
         return KINDS[int(number)], level, hold_ticks
 
     def _is_active(self, context: Context) -> bool:
-        kind, _, hold_ticks = self._schedule_of(context)
         ticks = self._ticks_since_onset(context)
-        return kind != "none" and 0 <= ticks < hold_ticks + (MOVE_TICKS if kind == "A" else 0)
+        if ticks < 0:
+            return False
+        kind, _, hold_ticks = self._schedule_of(context)
+        return kind != "none" and ticks < hold_ticks + (MOVE_TICKS if kind == "A" else 0)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         ticks = self._ticks_since_onset(context)

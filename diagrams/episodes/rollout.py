@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, System
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer
 
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
@@ -84,6 +84,7 @@ class Rollout:
             raise InputError(f"the controller cannot be built: {error}") from error
         builder.AddNamedSystem("switched_controller", self.controller)
         station, controller, period = self.station, self.controller, world.timing.period
+        plant = station.plant
         disturbance = self.disturbance = Disturbance(posture_size=policy.posture_size, period=period)
         builder.AddNamedSystem("disturbance", disturbance)
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
@@ -106,7 +107,7 @@ class Rollout:
             name: (system, system.GetOutputPort(name))
             for system, name in (
                 (controller, "posture_history"), (controller, "alpha"), (disturbance, "active"),
-                (self.can_mover, "taken"), (station, "can_poses"), (station, "rgb_image"),
+                (self.can_mover, "taken"), (station, "can_poses"), (station, "rgb_image"), (plant, "state"),
             )
         }  # fmt: skip
         self.video = None
@@ -168,18 +169,17 @@ class Rollout:
         narrator, switching = Narrator(monitor, on_event), Switching(episode.disturbance.kind != "none", period)
         root = self.simulator.get_context()
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
+        judged = [ports[name] for name in JUDGED]
         unscale, size = self.policy.scaling.unscale, self.policy.posture_size
         rows: dict[str, list] = {name: [] for name in ARRAYS}
         success = diverged = cut = False
         limit, k = round(time_limit / period), 0
         while k < limit + switching.ticks_disturbed and not success and not cut:
             # To the middle of the tick: its outputs hold from the update to the next one.
-            if not self._advance((k + 0.5) * period):
+            if not self._advance((k + 0.5) * period, *ports["state"]):
                 diverged = True  # what came before is kept
                 break
-            history, alpha, active, taken, cans = (
-                port.Eval(context) for port, context in [ports[name] for name in JUDGED]
-            )
+            history, alpha, active, taken, cans = [port.Eval(context) for port, context in judged]
             posture, alpha, active = unscale(history[:size]), float(alpha[0]), bool(active[0] > 0.5)
             for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans.copy())):
                 rows[name].append(value)
@@ -191,7 +191,8 @@ class Rollout:
             narrator.see(k * period, posture, alpha, active, taken[0] > 0.5, cans, home)
             switching.see(alpha, active, home)
             success = home and not active and monitor.success(cans, posture)
-            cut = {"task": False, "switching": switching.decided, "detection": switching.detection_over}[until]
+            if until != "task":
+                cut = switching.decided if until == "switching" else switching.detection_over
             k += 1
             if on_tick is not None:
                 on_tick(k)
@@ -217,7 +218,7 @@ class Rollout:
         network_input = self._input_log.FindLog(root).data().T[:ticks]
         return dict(zip((*LOGGED, "network_input"), map(np.ascontiguousarray, (*parts, network_input)), strict=True))
 
-    def _advance(self, seconds: float) -> bool:
+    def _advance(self, seconds: float, state: OutputPort, plant_context: Context) -> bool:
         """To that time; False if the physics diverged: something hard was squeezed between hard things."""
         try:
             self.simulator.AdvanceTo(seconds)
@@ -226,9 +227,7 @@ class Rollout:
                 raise
             return False
         # The last step may have overflowed, and Drake ends the process that asks for a pose then.
-        plant = self.station.plant
-        state = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(self.simulator.get_context()))
-        return bool(np.isfinite(state).all())
+        return bool(np.isfinite(state.Eval(plant_context)).all())
 
     def _outcome(
         self,
