@@ -17,7 +17,7 @@ import tyro
 
 from diagrams.episodes.record import Record
 from diagrams.world.configuration import World
-from diagrams.world.names import DECODER, WEIGHTS
+from diagrams.world.names import DECODER, ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.command_line import require, require_writable, run
 from models.networks import NETWORKS, network_label
@@ -66,7 +66,7 @@ def main(arguments: FiguresArguments) -> int:
         if absent not in losses:
             print(f"Fig. 4: {absent} has no calibrated weights in {arguments.weights}: left out")
     if chosen:
-        written += draw_runs(chosen, world, arguments.weights / DECODER, out, notes)
+        written += draw_runs(chosen, world, arguments.weights, out, notes)
     else:
         print("no --records: Figs. 5 to 7 are left out")
     if curves:
@@ -82,13 +82,13 @@ def main(arguments: FiguresArguments) -> int:
 
 
 def draw_runs(
-    chosen: dict[str, tuple[Record, dict]], world: World, decoder: Path, out: Path, notes: dict[str, Any]
+    chosen: dict[str, tuple[Record, dict]], world: World, weights: Path, out: Path, notes: dict[str, Any]
 ) -> list[Path]:
     """Figs. 5 to 7 of the records and outcomes `chosen`, by their disturbance; returns what is written."""
     from diagrams.drawing.paper_figures import save_reconstructions, save_states
     from diagrams.drawing.timeline import save_sequences
     from diagrams.episodes.figure_numbers import principal_states, reconstructions
-    from models.inference import Decoder
+    from models.inference import Decoder, Encoder
 
     notes["episodes"] = {kind: outcome for kind, (_, outcome) in chosen.items()}
     for kind, outcome in notes["episodes"].items():
@@ -108,7 +108,8 @@ def draw_runs(
     title, record = list(records.items())[-1]
     if len(record.pictures):
         written.append(out / "fig6_reconstructions.png")
-        save_reconstructions(reconstructions(record, Decoder(decoder).decode), written[-1])
+        coders = Encoder(weights / ENCODER).encode, Decoder(weights / DECODER).decode
+        save_reconstructions(reconstructions(record, *coders), written[-1])
     else:
         print(f"Fig. 6: the record of {title} holds no pictures: left out")
     return sorted(written)

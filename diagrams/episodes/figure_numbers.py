@@ -13,7 +13,7 @@ from diagrams.world.task import at_home, held
 from models.errors import InputError
 from models.networks import NETWORKS
 
-Decoder = Callable[[np.ndarray], np.ndarray]  # from features to a picture
+Coder = Callable[[np.ndarray], np.ndarray]
 TRAINING_SEEDS = range(10)  # that are looked for
 
 
@@ -61,15 +61,16 @@ def choose_records(paths: list[Path], weights_hash: str) -> dict[str, tuple[Reco
     return {kind: found[kind] for kind in DISTURBANCES if kind in found}
 
 
-def reconstructions(record: Record, decode: Decoder) -> list[tuple[float, str, list[np.ndarray]]]:
-    """Of the picture next to each event: s, what happened, the picture, and f_k and f^R_{k+1} decoded to pictures."""
+def reconstructions(record: Record, encode: Coder, decode: Coder) -> list[tuple[float, str, list[np.ndarray]]]:
+    """Of the picture next to each event: s, what happened, the picture, and its f and f^R_{k+1} decoded to pictures."""
     times, happened = record.time[record.picture_ticks], dict[int, list[str]]()
     for seconds, what in record.events:
         happened.setdefault(int(np.argmin(np.abs(times - seconds))), []).append(what)
     columns = []
     for n, words in happened.items():
         k = record.picture_ticks[n]
-        pictures = [record.pictures[n], decode(record.features[k]), decode(record.predicted_features[k])]
+        seen = record.pictures[n]
+        pictures = [seen, decode(encode(seen)), decode(record.predicted_features[k])]
         columns.append((float(times[n]), "; ".join(words), pictures))
     return columns
 

@@ -66,9 +66,13 @@ def test_runs_of_others_are_not_shown(tmp_path):
 
 def test_pictures_stand_next_to_what_happened():
     # Events at 0, 3.9 and 4.1 s: the two last have the same picture, that of tick 40.
-    columns = reconstructions(recorded_run(), lambda features: np.full((112, 112, 3), 100 * features[0], np.uint8))
+    columns = reconstructions(
+        recorded_run(),
+        lambda picture: np.full(30, picture[0, 0, 0] / 100 + 0.25),
+        lambda features: np.full((112, 112, 3), 100 * features[0], np.uint8),
+    )
     assert [(seconds, what.count(";")) for seconds, what, _ in columns] == [(0.0, 0), (4.0, 1)]
-    assert [[picture[0, 0, 0] for picture in pictures] for _, _, pictures in columns] == [[0, 25, 75], [8, 25, 75]]
+    assert [[picture[0, 0, 0] for picture in pictures] for _, _, pictures in columns] == [[0, 25, 75], [8, 33, 75]]
 
 
 def test_subtasks_change_at_the_initial_posture_only():
