@@ -42,12 +42,11 @@ s/--gamma 3 10 20 40 80 200/--gamma 3 20/
 s/ --steps [0-9]+//
 /training rnn/s/$/ --steps 4 --checkpoint-every 2 --validate-every 4/
 /training recall/s/$/ --steps 2 --checkpoint-every 1/
-s/rnn-(16000|24000)\.safetensors/rnn-4.safetensors/
+s/rnn-(16000|24000)\.onnx/rnn-4.onnx/
 # Networks of a few updates finish no task: the calibration takes the shipped ones.
-s/cp runs\/cae\/cae\.safetensors/cp models\/weights\/cae.safetensors/
-/calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/cae.safetensors --episodes 2 --disturbed 2/
-/calibrate\.py/s/--candidates [^ ]+/--candidates models\/weights\/lstm.safetensors/
-/baselines\.py/s/lstm\*\.safetensors/lstm.safetensors/
+/calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/encoder.onnx --episodes 2 --disturbed 2/
+/calibrate\.py/s/--candidates [^ ]+/--candidates models\/weights\/lstm.onnx/
+/baselines\.py/s/lstm\*\.onnx/lstm.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
 # Analyses: small samples; a scenario of its own where one that a search found is meant.
 /analysis\.py return/s/$/ --samples 10 --outside 5/
