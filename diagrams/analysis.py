@@ -30,9 +30,6 @@ def parse(arguments: list[str] | None = None) -> Arguments:
 
 def main(arguments: Arguments) -> int:
     """Runs the analysis whose `arguments` they are; returns the exit code."""
-    import torch
-
-    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
     arguments.check()
     return arguments.run()
 

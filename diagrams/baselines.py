@@ -1,6 +1,6 @@
 """Fits and calibrates the detectors that learn from runs, the two baselines of Table II among them.
 
-    python diagrams/baselines.py --policies models/weights/lstm*.safetensors --data demonstrations.h5
+    python diagrams/baselines.py --policies models/weights/lstm*.onnx --data demonstrations.h5
 
 1. Each detector learns from the training demonstrations in --data.
 2. Mean errors and gamma come from validation episodes with the detector off: see by_count in

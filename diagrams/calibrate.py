@@ -1,6 +1,6 @@
 """Selects a trained network by closed-loop rollouts on validation scenes, and calibrates its detector there.
 
-    python diagrams/calibrate.py --candidates runs/lstm/policy-*.safetensors --out models/weights/lstm.safetensors
+    python diagrams/calibrate.py --candidates runs/lstm/policy-*.onnx --out models/weights/lstm.onnx
 
 1. Each candidate runs undisturbed validation episodes with the detector off; those that finish most go on.
 2. References and gamma come from those runs and from disturbed ones: see by_spread in diagrams/episodes/thresholds.py.
@@ -34,7 +34,7 @@ class CalibrateArguments:
     candidates: list[Path]  # policy files with recall heads
     out: Path  # the calibrated copy of the best one
     scenario: Path | None = None  # YAML file whose world the episodes run in
-    encoder: Path = WEIGHTS / ENCODER  # autoencoder file
+    encoder: Path = WEIGHTS / ENCODER  # file of the encoder
     episodes: int = 20  # undisturbed validation episodes a candidate
     disturbed: int = 24  # validation episodes of each of A and B
     seed: int = 0  # 0 to 99: which validation episodes
@@ -51,7 +51,7 @@ def main(arguments: CalibrateArguments) -> int:
     require_writable(arguments.out)
     if not arguments.candidates:
         raise InputError("no candidate is given: give --candidates one file or more")
-    from models.files.weights import load_policy, save_policy
+    from models.files.policies import read_policy, write_policy
     from models.inference import Policy
 
     world = load_world(arguments.scenario)
@@ -78,7 +78,7 @@ def main(arguments: CalibrateArguments) -> int:
             recoveries = sum(entry["successes"] for kind, entry in tallies[path].items() if kind != "none")
             scores[path] = recoveries, -tallies[path]["none"]["mean_seconds"]
     chosen = max(finalists, key=lambda path: scores[path])
-    thresholds, stored = found[chosen], load_policy(chosen)
+    thresholds, (facts, graph) = found[chosen], read_policy(chosen)
     notes = {
         "chosen": chosen.name,
         "selection": {f"{path.parent.name}/{path.name}": entry for path, entry in tallies.items()},
@@ -87,10 +87,10 @@ def main(arguments: CalibrateArguments) -> int:
         "disturbed_peaks": {kind: peaks.tolist() for kind, peaks in thresholds.disturbed.items()},
     }
     calibrated = replace(
-        stored, mean_errors=thresholds.mean_errors, reference_errors=thresholds.reference_errors, beta=BETA,
-        gamma=thresholds.gamma, metadata={**stored.metadata, "calibration": notes},
+        facts, mean_errors=thresholds.mean_errors, reference_errors=thresholds.reference_errors, beta=BETA,
+        gamma=thresholds.gamma, metadata={**facts.metadata, "calibration": notes},
     )  # fmt: skip
-    save_policy(arguments.out, calibrated)
+    write_policy(arguments.out, calibrated, graph.content)
     print(f"{chosen.name} is taken; written: {arguments.out}")
     return 0
 

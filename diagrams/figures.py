@@ -17,10 +17,10 @@ import tyro
 
 from diagrams.episodes.record import Record
 from diagrams.world.configuration import World
-from diagrams.world.names import ENCODER, WEIGHTS
+from diagrams.world.names import DECODER, ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.command_line import require, require_writable, run
-from models.networks import NETWORKS
+from models.networks import NETWORKS, network_label
 
 
 @dataclass
@@ -45,16 +45,15 @@ def main(arguments: FiguresArguments) -> int:
     """Writes the figures that there is something for, and their numbers as figures.json; returns the exit code."""
     require("pandas", "pyarrow", "scipy", "sklearn")
     from diagrams.drawing.paper_figures import save_gamma_curve, save_recall_loss
-    from diagrams.episodes.calibration import policy_name
+    from diagrams.episodes.calibration import policy_file
     from diagrams.episodes.figure_numbers import choose_records, recall_losses
     from diagrams.sweeps.gamma import gamma_curves
     from diagrams.sweeps.table import read_tables
-    from models.files.weights import file_hash, load_policy
+    from models.files.policies import read_policy
 
-    out, rnn, world = arguments.out, NETWORKS.label(arguments.rnn), load_world(arguments.scenario)
-    path = arguments.weights / policy_name(rnn, arguments.training_seed)
-    load_policy(path)
-    notes: dict[str, Any] = {"rnn": rnn, "weights_hash": file_hash(path)}
+    out, rnn, world = arguments.out, network_label(arguments.rnn), load_world(arguments.scenario)
+    path = policy_file(arguments.weights, rnn, arguments.training_seed)
+    notes: dict[str, Any] = {"rnn": rnn, "weights_hash": read_policy(path)[1].hash}
     chosen = choose_records(arguments.records, notes["weights_hash"]) if arguments.records else {}
     curves, bounds = gamma_curves(read_tables(arguments.sweep)) if arguments.sweep else ({}, {})
     require_writable(out / "figures.json")
@@ -67,7 +66,7 @@ def main(arguments: FiguresArguments) -> int:
         if absent not in losses:
             print(f"Fig. 4: {absent} has no calibrated weights in {arguments.weights}: left out")
     if chosen:
-        written += draw_runs(chosen, world, arguments.weights / ENCODER, out, notes)
+        written += draw_runs(chosen, world, arguments.weights, out, notes)
     else:
         print("no --records: Figs. 5 to 7 are left out")
     if curves:
@@ -83,12 +82,13 @@ def main(arguments: FiguresArguments) -> int:
 
 
 def draw_runs(
-    chosen: dict[str, tuple[Record, dict]], world: World, autoencoder: Path, out: Path, notes: dict[str, Any]
+    chosen: dict[str, tuple[Record, dict]], world: World, weights: Path, out: Path, notes: dict[str, Any]
 ) -> list[Path]:
     """Figs. 5 to 7 of the records and outcomes `chosen`, by their disturbance; returns what is written."""
     from diagrams.drawing.paper_figures import save_reconstructions, save_states
     from diagrams.drawing.timeline import save_sequences
-    from diagrams.episodes.figure_numbers import decoder, principal_states, reconstructions
+    from diagrams.episodes.figure_numbers import principal_states, reconstructions
+    from models.inference import Decoder, Encoder
 
     notes["episodes"] = {kind: outcome for kind, (_, outcome) in chosen.items()}
     for kind, outcome in notes["episodes"].items():
@@ -108,7 +108,8 @@ def draw_runs(
     title, record = list(records.items())[-1]
     if len(record.pictures):
         written.append(out / "fig6_reconstructions.png")
-        save_reconstructions(reconstructions(record, decoder(autoencoder)), written[-1])
+        coders = Encoder(weights / ENCODER).encode, Decoder(weights / DECODER).decode
+        save_reconstructions(reconstructions(record, *coders), written[-1])
     else:
         print(f"Fig. 6: the record of {title} holds no pictures: left out")
     return sorted(written)

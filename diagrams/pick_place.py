@@ -23,7 +23,6 @@ from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario
 from models.command_line import require_writable, run
 from models.errors import InputError
-from models.networks import NETWORKS
 
 
 @dataclass
@@ -75,7 +74,7 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.drawing import PLOT_FORMATS
     from diagrams.drawing.graph import FORMATS as GRAPH_FORMATS
     from diagrams.drawing.graph import save_graph
-    from diagrams.episodes.calibration import Controller, policy_name, stored_calibration
+    from diagrams.episodes.calibration import Controller, policy_file, require_named, stored_calibration
     from diagrams.episodes.record import save_record
     from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
@@ -91,13 +90,14 @@ def main(cli: PickPlaceArguments) -> int:
             names = ", ".join(formats[path])
             raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
     episode = EpisodeSampler(cli.world).episode(cli)
-    controller = Controller(cli.weights / policy_name(NETWORKS.label(cli.rnn)), cli.detector)
+    controller = Controller(policy_file(cli.weights, cli.rnn), cli.detector)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
     rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, meshcat=meshcat, video=cli.video)
+    require_named(rollout.policy, cli.rnn, controller.policy)
     calibration = stored_calibration(cli.detector, rollout.policy, cli.weights)
     for path in written:
         require_writable(path)

@@ -13,7 +13,7 @@ from models.errors import InputError
 
 # Which extra of pyproject.toml brings a module.
 EXTRAS = {
-    "train": ("h5py",),
+    "train": ("h5py", "onnx", "onnxscript", "torch"),
     "sweep": ("dask", "distributed", "pandas", "pyarrow", "scipy", "sklearn"),
     "analysis": ("cmaes", "optuna"),
 }

@@ -1,126 +1,85 @@
-"""The trained networks as plain numpy functions: what the systems use. One thread, batch 1, deterministic."""
+"""The trained networks as plain numpy functions, in ONNX Runtime: what the systems use.
+
+One thread, batch 1, deterministic: the same bits from run to run and from process to process.
+"""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
-import torch.nn.functional as F
-from torch import Tensor
+import onnxruntime
 
-from models.files.quantisation import SCALE
-from models.files.weights import WeightsError, file_hash, load_autoencoder, load_policy, read_autoencoder
-from models.networks.cae import CHANNELS, FEATURE_SIZE, IMAGE_SIZE, to_image
+from models.files.container import RETRAIN, WeightsError
+from models.files.graphs import Graph, read_graph
+from models.files.policies import PolicyFacts, read_policy
 
+LARGEST_SIZE = 100_000  # of a vector that goes into a graph or comes out
+BATCH = 64  # pictures that are encoded at once
+IMAGE_SIZE = 112  # width and height of a picture, pixels
+_PICTURE = ("tensor(uint8)", IMAGE_SIZE, IMAGE_SIZE, 3)
 
-class _FoldedConvolution:
-    """Convolution, batch norm and ReLU as one; the weights lie as the CPU's convolution wants them at batch 1."""
-
-    def __init__(self, convolution: torch.nn.Conv2d, norm: torch.nn.BatchNorm2d, size: int) -> None:
-        gain, self.bias = _fold(norm)
-        weight = convolution.weight * gain[:, None, None, None]
-        self.packed = torch.backends.mkldnn.is_available()
-        if self.packed:
-            shape = [1, weight.shape[1], size, size]
-            weight = torch.ops.mkldnn._reorder_convolution_weight(weight, [1, 1], [2, 2], [1, 1], 1, shape)
-        self.weight = weight
-
-    def __call__(self, x: Tensor) -> Tensor:
-        if not self.packed:
-            return F.conv2d(x, self.weight, self.bias, 2, 1).relu_()
-        return torch.ops.mkldnn._convolution_pointwise(
-            x, self.weight, self.bias, [1, 1], [2, 2], [1, 1], 1, "relu", [], ""
-        )
+Port = tuple[str | int, ...]  # type, then the sizes after the batch's; 0: any
 
 
-class _SparseFull:
-    """The large full layer (18432 -> 1000) as a sum of the rows whose input is not zero, straight from 8 bits.
+class _Session:
+    """A graph that runs: arrays in and out by the names of its inputs and outputs."""
 
-    At batch 1 the layer costs what its weights cost to read: float32 is 74 MB. ReLU zeroes about half of the inputs,
-    and a row of 8-bit weights is a quarter, so that a tenth is read. Sums are float32, as in the dense layer.
-    The columns lie in strips of 64, a cache line of each row: the kernel goes over a wide row in several passes.
-    """
+    def __init__(self, path: str | Path, graph: Graph, inputs: dict[str, Port], outputs: dict[str, Port]) -> None:
+        """Raises WeightsError unless the graph runs and has these inputs and outputs."""
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.use_deterministic_compute = True
+        options.log_severity_level = 4  # what is wrong is raised
+        try:
+            self._session = onnxruntime.InferenceSession(graph.content, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # the runtime raises a class of its own for each thing that can be wrong
+            words = " ".join(str(error).split())[:300]
+            raise WeightsError(path, f"its graph cannot be run ({words})", RETRAIN) from error
+        have = {port.name: (port.type, *port.shape) for port in self._session.get_inputs()}
+        have_out = {port.name: (port.type, *port.shape) for port in self._session.get_outputs()}
+        remedy = "models/README.md says what a graph computes"
+        if (have.keys(), have_out.keys()) != (inputs.keys(), outputs.keys()):
+            is_, should_be = (" -> ".join(map(", ".join, both)) for both in ((have, have_out), (inputs, outputs)))
+            raise WeightsError(path, f"its graph computes {is_}, where {should_be} is needed", remedy)
+        have |= have_out
+        for name, wanted in (inputs | outputs).items():
+            kind, batch, *sizes = have[name]
+            fits = (kind, len(sizes)) == (wanted[0], len(wanted) - 1) and (batch == 1 or not isinstance(batch, int))
+            for size, want in zip(sizes, wanted[1:], strict=False):
+                fits &= isinstance(size, int) and 1 <= size <= LARGEST_SIZE and want in (0, size)
+            if not fits:
+                shape = f"{wanted[0]} [1, {', '.join(str(n or 'n') for n in wanted[1:])}]"
+                raise WeightsError(path, f"its {name} is {kind} {[batch, *sizes]}, where {shape} is needed", remedy)
+        self.sizes = {name: tuple(port[2:]) for name, port in have.items()}
+        self._outputs = list(outputs)
 
-    STRIP = 64
-
-    def __init__(self, weight: Tensor, scale: Tensor, norm: torch.nn.BatchNorm1d) -> None:
-        gain, self.bias = _fold(norm)
-        self.gain = scale * gain
-        self.columns, rows = weight.shape
-        strips = -(-self.columns // self.STRIP)
-        # Inputs in the order of a channels-last picture; each row of a strip ends in float32 scale 1 and offset -128.
-        order = torch.arange(rows).view(CHANNELS[2], -1).t().reshape(-1)
-        padded = torch.full((strips * self.STRIP, rows), 128, dtype=torch.uint8)
-        padded[: self.columns] = (weight[:, order].to(torch.int16) + 128).to(torch.uint8)
-        self.table = torch.empty(strips, rows, self.STRIP + 8, dtype=torch.uint8)
-        self.table[..., : self.STRIP] = padded.view(strips, self.STRIP, rows).transpose(1, 2)
-        self.table[..., self.STRIP :] = torch.tensor([1.0, -128.0]).view(torch.uint8)
-        self.table = self.table.view(strips * rows, -1)
-        self.first_rows = rows * torch.arange(strips)[:, None]
-
-    def __call__(self, x: Tensor) -> Tensor:
-        flat = x.permute(0, 2, 3, 1).reshape(-1)
-        active = torch.nonzero(flat).squeeze(1)
-        strips = len(self.first_rows)
-        rows, offsets = (self.first_rows + active).view(-1), len(active) * torch.arange(strips)
-        total = torch.ops.quantized.embedding_bag_byte_rowwise_offsets(
-            self.table, rows, offsets, False, 0, False, flat[active].repeat(strips), None, False
-        )
-        return torch.addcmul(self.bias, total.view(1, -1)[:, : self.columns], self.gain)
-
-
-def _fold(norm: Any) -> tuple[Tensor, Tensor]:
-    """Batch norm in eval mode as gain (n,) and bias (n,)."""
-    gain = norm.weight / torch.sqrt(norm.running_var + norm.eps)
-    return gain, norm.bias - norm.running_mean * gain
+    def __call__(self, **inputs: np.ndarray) -> list[np.ndarray]:
+        return self._session.run(self._outputs, inputs)
 
 
 class Encoder:
-    """Image to features, on the stored weights of an autoencoder file.
+    """Pictures to features.
 
     Attributes:
-        feature_size: 30.
+        feature_size: F.
         hash: SHA-256 of the file.
     """
 
-    feature_size = FEATURE_SIZE
-
     def __init__(self, path: str | Path) -> None:
-        self.hash = file_hash(path)
-        self._model, _ = load_autoencoder(path)
-        stored = read_autoencoder(path)[0]
-        layers: Any = self._model.encoder
-        with torch.no_grad():
-            self._convolutions = [
-                _FoldedConvolution(getattr(layers, f"conv{i}"), getattr(layers, f"conv{i}_norm"), n)
-                for i, n in enumerate((IMAGE_SIZE, 55, 26))
-            ]
-            full = "encoder.full.weight"
-            self._full = _SparseFull(stored[full], stored[full + SCALE], layers.full_norm)
-            gain, self._bias = _fold(layers.feature_norm)
-            self._weight = layers.feature.weight * gain[:, None]
-        self._activation = layers.feature_activation
-        self._model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        """Raises WeightsError unless `path` is an encoder's file."""
+        graph = read_graph(path, "encoder")
+        self._session = _Session(path, graph, {"picture": _PICTURE}, {"features": ("tensor(float)", 0)})
+        self.hash, self.feature_size = graph.hash, self._session.sizes["features"][0]
 
     def encode(self, rgb: np.ndarray) -> np.ndarray:
-        """uint8 (112, 112, 3) to features, float64 (30,)."""
+        """uint8 (112, 112, 3) to features, float64 (F,)."""
         _check(rgb, 3)
-        with torch.inference_mode():
-            x = to_image(torch.from_numpy(np.ascontiguousarray(rgb))[None])
-            for convolution in self._convolutions:
-                x = convolution(x)
-            feature = self._activation(F.linear(self._full(x).relu_(), self._weight, self._bias))
-        return feature[0].double().numpy()
+        return self._session(picture=rgb[None])[0][0].astype(float)
 
-    def encode_batch(self, rgb: np.ndarray, batch: int = 64) -> np.ndarray:
-        """uint8 (B, 112, 112, 3) to features, float64 (B, 30); equal to encode up to float32 rounding."""
+    def encode_batch(self, rgb: np.ndarray) -> np.ndarray:
+        """uint8 (B, 112, 112, 3) to features, float64 (B, F); equal to encode, to the bit."""
         _check(rgb, 4)
-        with torch.inference_mode():
-            parts = [
-                self._model.encode(to_image(torch.from_numpy(np.ascontiguousarray(rgb[i : i + batch]))))
-                for i in range(0, len(rgb), batch)
-            ]
-        return torch.cat(parts).double().numpy() if parts else np.empty((0, FEATURE_SIZE))
+        parts = [self._session(picture=rgb[i : i + BATCH])[0] for i in range(0, len(rgb), BATCH)]
+        return np.concatenate([np.empty((0, self.feature_size)), *parts])
 
 
 def _check(rgb: np.ndarray, ndim: int) -> None:
@@ -129,45 +88,56 @@ def _check(rgb: np.ndarray, ndim: int) -> None:
         raise ValueError(f"the encoder takes uint8 pictures {shape}, not {rgb.dtype} {rgb.shape}")
 
 
-class Policy:
+class Decoder:
+    """Features back to pictures, for people to look at."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Raises WeightsError unless `path` is a decoder's file."""
+        graph = read_graph(path, "decoder")
+        self._session = _Session(path, graph, {"features": ("tensor(float)", 0)}, {"picture": _PICTURE})
+
+    def decode(self, features: np.ndarray) -> np.ndarray:
+        """Features (F,) to uint8 (112, 112, 3)."""
+        return self._session(features=np.asarray(features, np.float32)[None])[0][0]
+
+
+class Policy(PolicyFacts):
     """Recurrent network and recall heads of a policy file; everything scaled but initial_posture and scaling's bounds.
 
-    Attributes:
-        hash: SHA-256 of the file; name: of the network.
-        posture_size, feature_size, state_size, horizon: 8, 30, S, N.
-        initial_state: c_0 (S,).
-        scaling, initial_posture, regulator_gain, encoder_hash, mean_errors, reference_errors, beta, gamma, metadata:
-            see StoredPolicy.
+    Attributes, beside those of PolicyFacts:
+        hash: SHA-256 of the file.
+        posture_size, feature_size, state_size, horizon: M, F, S, N.
+        initial_state: c_0 (S,), zeros.
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.hash = file_hash(path)
-        stored = load_policy(path)
-        if stored.recall is None:
+        """Raises WeightsError unless `path` is a policy's file with recall heads."""
+        facts, graph = read_policy(path)
+        super().__init__(**vars(facts))
+        if self.torch is not None and self.torch.get("recall") is None:
             remedy = f"Train them: `python -m models.training recall --policy {path}`"
             raise WeightsError(path, "is a candidate without recall heads", remedy)
-        self._rnn, self._heads = stored.rnn, stored.recall
-        self.name = stored.rnn.name
-        self.posture_size, self.feature_size = stored.rnn.posture_size, stored.rnn.feature_size
-        self.state_size, self.horizon = stored.rnn.state_size, stored.recall.horizon
+        self.hash, self.posture_size = graph.hash, len(self.initial_posture)
+        number = "tensor(float)"
+        outputs: dict[str, Port] = {"y": (number, 0), "next_state": (number, 0)}
+        outputs["recalled"] = (number, 0, self.posture_size)
+        self._session = _Session(path, graph, {"x": (number, 0), "state": (number, 0)}, outputs)
+        sizes = self._session.sizes
+        if sizes["x"] != sizes["y"] or sizes["state"] != sizes["next_state"] or sizes["x"][0] <= self.posture_size:
+            wrong = (
+                f"its graph maps x {sizes['x']} and state {sizes['state']} to y {sizes['y']} and {sizes['next_state']}"
+            )
+            raise WeightsError(path, wrong, f"x and y have the {self.posture_size} of the posture, then the features")
+        self.feature_size, self.state_size = sizes["x"][0] - self.posture_size, sizes["state"][0]
+        self.horizon = sizes["recalled"][0]
         self.initial_state = np.zeros(self.state_size)
-        self.scaling, self.initial_posture = stored.scaling, stored.initial_posture
-        self.regulator_gain, self.encoder_hash = stored.regulator_gain, stored.encoder_hash
-        self.mean_errors, self.reference_errors = stored.mean_errors, stored.reference_errors
-        self.beta, self.gamma = stored.beta, stored.gamma
-        self.metadata = stored.metadata
 
-    def step(self, x: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One tick: x (38,) scaled [m_k, f_k], c_{k-1} (S,) to y (38,), the prediction of k+1, unclipped, and c_k."""
-        with torch.inference_mode():
-            y, after = self._rnn.step(_row(x), _row(state))
-        return y[0].double().numpy(), after[0].double().numpy()
+    def step(self, x: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One tick: x (M + F,) scaled [m_k, f_k] and c_{k-1} (S,).
 
-    def recall(self, state: np.ndarray) -> np.ndarray:
-        """c_k (S,) to recalled postures (N, 8), row n - 1 is m_{k-n}."""
-        with torch.inference_mode():
-            return self._heads(_row(state))[0].double().numpy()
-
-
-def _row(x: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.asarray(x, np.float32))[None]
+        Returns y (M + F,), the prediction of k+1, unclipped; c_k (S,); and the postures that c_k recalls (N, M), row
+        n - 1 is m_{k-n}.
+        """
+        found = self._session(x=np.asarray(x, np.float32)[None], state=np.asarray(state, np.float32)[None])
+        y, after, recalled = (value[0].astype(float) for value in found)
+        return y, after, recalled

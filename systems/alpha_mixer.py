@@ -49,7 +49,7 @@ def AlphaMixer_(T):
         def _construct(self, *, posture_size, joints, lower, upper, max_step, settling_ticks=1, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)
             size = require_count("posture_size", posture_size)
-            self._joints = require_count("joints", joints, 0, size)
+            self._is_joint = np.arange(size) < require_count("joints", joints, 0, size)
             self._lower, self._upper = require_bounds("lower", lower, "upper", upper, size)
             self._max_step = require_vector("max_step", max_step, size, minimum=0.0)
             ticks = require_count("settling_ticks", settling_ticks)
@@ -75,9 +75,8 @@ def AlphaMixer_(T):
             output.SetFromVector(self._rnn_step(context))
 
         def _calc_desired_posture(self, context, output):
-            alphas = np.concatenate((self._alpha.Eval(context), self._last_alphas.Eval(context)))
-            fingers = len(self._lower) - self._joints
-            alpha = np.array([np.max(alphas[:2])] * self._joints + [np.max(alphas)] * fingers)
+            alpha, last = self._alpha.Eval(context)[0], self._last_alphas.Eval(context)
+            alpha = np.where(self._is_joint, max(alpha, last[0]), max(alpha, last.max()))
             step = (1.0 - alpha) * self._rnn_step(context) + self._regulator_step.Eval(context)
             step = clamp(step, -self._max_step, self._max_step)
             output.SetFromVector(clamp(self._posture.Eval(context) + step, self._lower, self._upper))

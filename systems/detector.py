@@ -35,10 +35,9 @@ EXPONENT = 500.0  # exp(500) is finite; 1 / (1 + exp(500)) is 0 to every purpose
 
 def alpha_of(errors: np.ndarray, beta, gamma):
     """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eq. 6, of `errors` (E,), float or AutoDiffXd; no size overflows."""
-    x = beta * (errors - gamma)
-    limit = np.full(x.shape, type(x[0])(EXPONENT))
-    with np.errstate(over="ignore"):  # in the square of a denominator, of which AutoDiffXd takes the inverse: 0
-        return np.max(1.0 / (1.0 + np.exp(-np.minimum(np.maximum(x, -limit), limit))))
+    x = (beta * (errors - gamma)).max()  # the sigmoid rises: the largest argument gives the largest value
+    limit = type(x)(EXPONENT)
+    return 1.0 / (1.0 + np.exp(-min(max(x, -limit), limit)))
 
 
 def _input_sizes(policy) -> dict[str, int]:

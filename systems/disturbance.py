@@ -30,7 +30,7 @@ class Disturbance(LeafSystem):
 
         name: Disturbance
         input_ports: [desired_posture, trigger]
-        output_ports: [disturbed_posture, active]
+        output_ports: [disturbed_posture, active, ticks_since_onset]
 
     Inputs:
         desired_posture: (M,) command of the controller, physical units.
@@ -38,6 +38,7 @@ class Disturbance(LeafSystem):
     Outputs:
         disturbed_posture: (M,) command for the arm, physical units. Direct feedthrough of `desired_posture` alone.
         active: (1,) 1 during the disturbance, else 0. No direct feedthrough.
+        ticks_since_onset: (1,) state: 0 at the onset, -1 before it.
 
     The onset is the first tick at which trigger < level. The command that held until then is the command at
     the onset. From that tick's update on, `disturbed_posture` is
@@ -69,6 +70,7 @@ class Disturbance(LeafSystem):
             "disturbed_posture", self._size, self._calc_posture, state | {self._desired.ticket()}
         )
         self.DeclareVectorOutputPort("active", 1, self._calc_active, state)
+        self.DeclareStateOutputPort("ticks_since_onset", self._ticks)
         self.DeclarePeriodicDiscreteUpdateEvent(require_positive("period", period), 0.0, self._update)
 
     def set_parameters(self, context: Context, parameters: DisturbanceParameters) -> None:
@@ -80,9 +82,8 @@ class Disturbance(LeafSystem):
         context.get_mutable_numeric_parameter(self._schedule).SetFromVector(schedule)
         context.get_mutable_numeric_parameter(self._target).SetFromVector(target)
 
-    def ticks_since_onset(self, context: Context) -> int:
-        """Ticks since the onset in this system's Context, 0 at the onset itself; -1 before it."""
-        return int(context.get_discrete_state(self._ticks).value()[0])
+    def _ticks_since_onset(self, context: Context) -> int:
+        return int(context.get_discrete_state(self._ticks)[0])
 
     def _vectors(self, given: DisturbanceParameters) -> tuple[list[float], np.ndarray]:
         """Number of the kind, level and hold ticks; and the target (M,), NaN where there is none."""
@@ -105,12 +106,14 @@ class Disturbance(LeafSystem):
         return KINDS[int(number)], level, hold_ticks
 
     def _is_active(self, context: Context) -> bool:
+        ticks = self._ticks_since_onset(context)
+        if ticks < 0:
+            return False
         kind, _, hold_ticks = self._schedule_of(context)
-        ticks = self.ticks_since_onset(context)
-        return kind != "none" and 0 <= ticks < hold_ticks + (MOVE_TICKS if kind == "A" else 0)
+        return kind != "none" and ticks < hold_ticks + (MOVE_TICKS if kind == "A" else 0)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        ticks = self.ticks_since_onset(context)
+        ticks = self._ticks_since_onset(context)
         if ticks >= 0:
             discrete_state.set_value(self._ticks, [ticks + 1])
             return
@@ -128,7 +131,7 @@ class Disturbance(LeafSystem):
         if self._schedule_of(context)[0] == "A":
             target = context.get_numeric_parameter(self._target).value()
             target = np.where(np.isnan(target), command, target)
-            ticks = self.ticks_since_onset(context)
+            ticks = self._ticks_since_onset(context)
             share = min((ticks + 1) / MOVE_TICKS, 1.0)
             command = (1.0 - share) * command + share * target
         output.SetFromVector(command)

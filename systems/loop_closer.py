@@ -28,6 +28,8 @@ def LoopCloser_(T):
         Outputs:
             network_input: (M + F,) x_k. Direct feedthrough of every input; converts to AutoDiffXd.
 
+        Where alpha is exactly 1, what is measured is not evaluated: no picture is taken and encoded for nothing.
+
         Constructor: keywords posture_size (M), feature_size (F).
         """
 
@@ -51,9 +53,11 @@ def LoopCloser_(T):
 
         def _calc(self, context, output):
             alpha = self._alpha.Eval(context)[0]
-            measured = np.concatenate((self._posture.Eval(context), self._features.Eval(context)))
-            predicted = np.concatenate((self._predicted_posture.Eval(context), self._predicted_features.Eval(context)))
-            output.SetFromVector((1.0 - alpha) * measured + alpha * predicted)
+            x = np.concatenate((self._predicted_posture.Eval(context), self._predicted_features.Eval(context)))
+            if T is not float or alpha != 1.0:  # a derivative by alpha needs both
+                measured = np.concatenate((self._posture.Eval(context), self._features.Eval(context)))
+                x = (1.0 - alpha) * measured + alpha * x
+            output.SetFromVector(x)
 
     return Impl
 

@@ -1,5 +1,7 @@
 """The paper's detector: does the network recall what the arm did (Eqs. 5 and 6)?"""
 
+import functools
+
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import LeafSystem_
@@ -19,8 +21,15 @@ def recall_errors(difference: np.ndarray, joints: int, reference_errors: np.ndar
         joints: J, the first J components are joints.
         reference_errors: (N + 1,) r_n, scaled units squared.
     """
-    weights = np.append(np.ones(joints), np.zeros(difference.shape[1] - joints))
-    return (difference * difference * (weights / weights.sum() / reference_errors[:, None])).sum(axis=1)
+    weights = _weights(joints, difference.shape[1])
+    return (difference * difference * (weights / reference_errors[:, None])).sum(axis=1)
+
+
+@functools.cache
+def _weights(joints: int, size: int) -> np.ndarray:
+    """(size,) 1 / joints for each joint, 0 for the other components."""
+    weights = np.append(np.ones(joints), np.zeros(size - joints))
+    return weights / weights.sum()
 
 
 @TemplateSystem.define("RecallDetector_", T_list=[float, AutoDiffXd])

@@ -24,15 +24,16 @@ class RecurrentPolicy(LeafSystem):
             row n is m^R_{k-n}, recalled from the hidden state (Eq. 5).
         hidden_state: (S,) c_k, dimensionless.
 
-    Before the first tick: c_0, the initial posture as this and the last prediction, features 0, and what c_0 recalls.
+    Before the first tick: c_0; the initial posture, where the arm rests, as prediction and as all that is recalled;
+    features 0.
     """
 
     def __init__(self, policy, period: float = 0.1):
         """
         Args:
             policy: any object with `posture_size` M, `feature_size` F, `state_size` S, `horizon` N, `initial_state`
-                (S,), `initial_posture` (M,) physical, `scaling.scale`, `step(x, state) -> (y, state)` and
-                `recall(state) -> (N, M)`; see models/inference.py.
+                (S,), `initial_posture` (M,) physical, `scaling.scale` and `step(x, state) -> (y, state, recalled)`;
+                see models/inference.py.
             period: of the ticks, s.
         """
         super().__init__()
@@ -44,12 +45,11 @@ class RecurrentPolicy(LeafSystem):
         initial_state = require_vector("policy.initial_state", policy.initial_state, state_size)
         initial_posture = require_vector("policy.initial_posture", policy.initial_posture, self._posture_size)
         posture = np.clip(policy.scaling.scale(initial_posture), -1.0, 1.0)
-        recalled = self._with_recall(posture, initial_state)
 
         self._network_input = self.DeclareVectorInputPort("network_input", self._posture_size + self._feature_size)
         self._predicted_posture = self.DeclareDiscreteState(posture)
         self._predicted_features = self.DeclareDiscreteState(np.zeros(self._feature_size))
-        self._recalled = self.DeclareDiscreteState(recalled)
+        self._recalled = self.DeclareDiscreteState(np.tile(posture, self._horizon + 1))
         self._hidden = self.DeclareDiscreteState(initial_state)
         self.DeclareStateOutputPort("predicted_posture", self._predicted_posture)
         self.DeclareStateOutputPort("predicted_features", self._predicted_features)
@@ -57,31 +57,23 @@ class RecurrentPolicy(LeafSystem):
         self.DeclareStateOutputPort("hidden_state", self._hidden)
         self.DeclarePeriodicDiscreteUpdateEvent(require_positive("period", period), 0.0, self._update)
 
-    def _with_recall(self, prediction: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-        """Returns `recalled_postures`: the prediction (M,) made a tick before, then what `hidden` (S,) recalls."""
-        recalled = np.asarray(self._policy.recall(hidden), dtype=float)
-        if recalled.shape != (self._horizon, self._posture_size):
-            raise ValueError(
-                f"policy.recall gave shape {recalled.shape}; its horizon and posture_size ask for "
-                f"{(self._horizon, self._posture_size)}: use the weight file and the code of one version."
-            )
-        return np.concatenate((prediction, recalled.ravel()))
-
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         x = self._network_input.Eval(context)
         # Read before writing: row 0 of the recall is the prediction that the tick before made for this one.
         last_prediction = context.get_discrete_state(self._predicted_posture).value()
-        y, hidden = self._policy.step(x, context.get_discrete_state(self._hidden).value().copy())
-        y = np.asarray(y, dtype=float)
-        hidden = np.asarray(hidden, dtype=float)
-        if not (np.isfinite(y).all() and np.isfinite(hidden).all()):
+        y, hidden, recalled = self._policy.step(x, context.get_discrete_state(self._hidden).value().copy())
+        if np.shape(recalled) != (self._horizon, self._posture_size):
+            raise ValueError(
+                f"policy.step recalled shape {np.shape(recalled)}; its horizon and posture_size ask for "
+                f"{(self._horizon, self._posture_size)}: use the weight file and the code of one version."
+            )
+        if not (np.isfinite(y).all() and np.isfinite(hidden).all() and np.isfinite(recalled).all()):
             raise ValueError(
                 f"The network's output at t = {context.get_time():g} s has values that are not finite (its input, at "
                 f"most {np.max(np.abs(x)):g} in magnitude, should be near [-1, 1]): check the weights and the scaling."
             )
-        recalled = self._with_recall(last_prediction, hidden)
         y = np.clip(y, -1.0, 1.0)
+        discrete_state.set_value(self._recalled, np.concatenate((last_prediction, np.ravel(recalled))))
         discrete_state.set_value(self._predicted_posture, y[: self._posture_size])
         discrete_state.set_value(self._predicted_features, y[self._posture_size :])
-        discrete_state.set_value(self._recalled, recalled)
         discrete_state.set_value(self._hidden, hidden)

@@ -23,12 +23,12 @@ class SwitchedController(Diagram):
         name: SwitchedController
         input_ports: [rgb_image, posture]
         output_ports: [desired_posture, rnn_step, regulator_step, alpha, errors, hidden_state, predicted_features,
-          recalled_postures, posture_history, features]
+          recalled_postures, posture_history, features, network_input]
 
     Inputs (read at the ticks only):
         rgb_image: ImageRgba8U of image_width x image_height pixels.
         posture: (M,) physical units: measured joint angles (rad), then the finger openings as commanded (m).
-    Outputs (physical units; constant between ticks; only `features` has direct feedthrough, of the image):
+    Outputs (physical units; constant between ticks, but for the last two, which alone have direct feedthrough):
         desired_posture: (M,) the command m_k + dm.
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
         alpha: (1,) alpha_k; the loop closing of tick k uses alpha_{k-1}.
@@ -37,11 +37,13 @@ class SwitchedController(Diagram):
         predicted_features: (F,) f^R_{k+1}, in [-1, 1].
         recalled_postures: ((N + 1) M,) m^R_k, m^R_{k-1}, ..., m^R_{k-N}, *scaled*, row by row.
         posture_history: ((N + 1) M,) m_k, m_{k-1}, ..., m_{k-N}, *scaled*, row by row.
-        features: (F,) of the image, in [-1, 1]. Encodes when pulled: pull it at a tick, where the update needs it too.
+        features: (F,) of the image, in [-1, 1]. Encodes when pulled.
+        network_input: (M + F,) x_k, *scaled*: what the update at tick k feeds to the network. Encodes when pulled, not
+            where alpha_{k-1} is exactly 1: pull it at a tick, where the update needs it too.
 
     Inside, postures are scaled to [-1, 1] by the bounds in the policy's weight file. An update at tick k reads image,
     posture and alpha as they stand before it; the outputs after it are those of tick k. A publish event at the same
-    time comes before the update: it sees the features of tick k, and of all other outputs those of tick k - 1.
+    time comes before the update: it sees x_k and the features of tick k, and of all other outputs those of tick k - 1.
     """
 
     def __init__(
@@ -162,6 +164,7 @@ class SwitchedController(Diagram):
             (network, ("hidden_state", "predicted_features", "recalled_postures")),
             (history, ("posture_history",)),
             (image_encoder, ("features",)),
+            (closer, ("network_input",)),
         ):
             for name in names:
                 builder.ExportOutput(system.GetOutputPort(name), name)

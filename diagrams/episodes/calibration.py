@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from pydrake.systems.framework import System
 
-from diagrams.world.names import ARM_JOINTS
+from diagrams.world.names import ARM_JOINTS, DECODER, ENCODER
 from models.errors import InputError
+from models.networks import network_label
 from systems.detector import NEVER
 from systems.detectors import DETECTORS
 
@@ -40,8 +41,24 @@ class Controller:
 
 
 def policy_name(label: str, training_seed: int = 0) -> str:
-    """File name of the network with that short name: lstm.safetensors of training seed 0, lstm-1.safetensors of 1."""
-    return f"{label}-{training_seed}.safetensors" if training_seed else f"{label}.safetensors"
+    """File name of the network with that short name: lstm.onnx of training seed 0, lstm-1.onnx of 1."""
+    return f"{label}-{training_seed}.onnx" if training_seed else f"{label}.onnx"
+
+
+def policy_file(folder: Path, rnn: str, training_seed: int = 0) -> Path:
+    """The file in `folder` of the network that `rnn` names; raises InputError where there is none."""
+    path = folder / policy_name(network_label(rnn), training_seed)
+    if not path.is_file():
+        there = sorted(found.stem for found in folder.glob("*.onnx") if found.name not in (ENCODER, DECODER))
+        remedy = f"choose from {', '.join(there)}, or train one" if there else "give another folder, or train one"
+        raise InputError(f"there is no network '{path.stem}' in {folder}: {remedy} with `python -m models.training`")
+    return path
+
+
+def require_named(policy, rnn: str, path: Path) -> None:
+    """Raises InputError unless `policy`, of the file `path`, is the network that `rnn` names."""
+    if policy.name != (label := network_label(rnn)):
+        raise InputError(f"{path} holds the network '{policy.name}', not '{label}': give each file its own name")
 
 
 def detector_file(folder: Path, detector: str) -> Path:

@@ -13,7 +13,7 @@ from diagrams.world.task import at_home, held
 from models.errors import InputError
 from models.networks import NETWORKS
 
-Decoder = Callable[[np.ndarray], np.ndarray]  # from features to a picture
+Coder = Callable[[np.ndarray], np.ndarray]
 TRAINING_SEEDS = range(10)  # that are looked for
 
 
@@ -22,12 +22,12 @@ def recall_losses(weights: Path) -> dict[str, np.ndarray]:
 
     Means over the episodes of the calibration, of the calibrated weight files that are there.
     """
-    from models.files.weights import load_policy
+    from models.files.policies import read_policy
 
     losses = {}
     for rnn in NETWORKS:
         paths = [path for seed in TRAINING_SEEDS if (path := weights / policy_name(rnn, seed)).is_file()]
-        means = [mean for path in paths if (mean := load_policy(path).mean_errors) is not None]
+        means = [mean for path in paths if (mean := read_policy(path)[0].mean_errors) is not None]
         if means:
             losses[rnn] = np.array(means)[:, 1:]
     return losses
@@ -61,31 +61,16 @@ def choose_records(paths: list[Path], weights_hash: str) -> dict[str, tuple[Reco
     return {kind: found[kind] for kind in DISTURBANCES if kind in found}
 
 
-def decoder(path: Path) -> Decoder:
-    """From features (30,) to a uint8 picture (112, 112, 3), of the autoencoder file `path`; raises WeightsError."""
-    import torch
-
-    from models.files.weights import load_autoencoder
-
-    model, _ = load_autoencoder(path)
-
-    def decode(features: np.ndarray) -> np.ndarray:
-        with torch.inference_mode():
-            image = model.decode(torch.from_numpy(features)[None].float())[0]
-        return (255.0 * image.clamp(0.0, 1.0)).byte().permute(1, 2, 0).numpy()
-
-    return decode
-
-
-def reconstructions(record: Record, decode: Decoder) -> list[tuple[float, str, list[np.ndarray]]]:
-    """Of the picture next to each event: s, what happened, the picture, and f_k and f^R_{k+1} decoded to pictures."""
+def reconstructions(record: Record, encode: Coder, decode: Coder) -> list[tuple[float, str, list[np.ndarray]]]:
+    """Of the picture next to each event: s, what happened, the picture, and its f and f^R_{k+1} decoded to pictures."""
     times, happened = record.time[record.picture_ticks], dict[int, list[str]]()
     for seconds, what in record.events:
         happened.setdefault(int(np.argmin(np.abs(times - seconds))), []).append(what)
     columns = []
     for n, words in happened.items():
         k = record.picture_ticks[n]
-        pictures = [record.pictures[n], decode(record.features[k]), decode(record.predicted_features[k])]
+        seen = record.pictures[n]
+        pictures = [seen, decode(encode(seen)), decode(record.predicted_features[k])]
         columns.append((float(times[n]), "; ".join(words), pictures))
     return columns
 

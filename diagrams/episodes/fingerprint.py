@@ -9,7 +9,14 @@ from diagrams.world.configuration import World
 from models.command_line import ROOT
 
 # What an episode's outcome depends on: the definitions of success among it.
-ROOMS: tuple[str, ...] = ("sdf", "models/inference.py", "models/networks", "models/data/scaling.py", "systems")
+ROOMS: tuple[str, ...] = (
+    "sdf",
+    "models/inference.py",
+    "models/files",
+    "models/networks",
+    "models/data/scaling.py",
+    "systems",
+)
 ROOMS += ("models/data/windows.py", "diagrams/world", *(f"diagrams/episodes/{name}.py" for name in (
     "calibration", "episode", "record", "rollout", "runner", "sampling", "switching",
 )))  # fmt: skip

@@ -24,12 +24,19 @@ class Narrator:
             self._tell(seconds, what)
 
     def see(
-        self, seconds: float, posture: np.ndarray, alpha: float, active: bool, taken: bool, cans: np.ndarray
+        self,
+        seconds: float,
+        posture: np.ndarray,
+        alpha: float,
+        active: bool,
+        taken: bool,
+        cans: np.ndarray,
+        home: bool,
     ) -> None:
-        """One tick: `posture` (8,), `cans` (14,), whether the arm is disturbed and the can was taken."""
+        """One tick: `posture` (8,), `cans` (14,); whether the arm is disturbed, the can was taken, the arm is home."""
         monitor = self._monitor
         held = bool(monitor.held(cans, posture))
-        placed, home = monitor.placed(cans), bool(monitor.home(posture))
+        placed = monitor.placed(cans)
         returning = alpha >= GUARD or (self._was.get("returning", False) and alpha > RESUMED)
         for name, now, begins, ends in (
             ("taken", taken, "the can is taken from the hand and put elsewhere on the desk", None),

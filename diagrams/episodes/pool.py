@@ -93,7 +93,7 @@ def _worker() -> ProcessPoolExecutor:
 
 
 def _begin() -> None:
-    """In a fresh worker: one thread for torch, since the processes share the cores; and an end with its parent."""
+    """In a fresh worker: one thread a library, since the processes share the cores; an end with its parent."""
     os.environ["OMP_NUM_THREADS"] = "1"  # before OpenMP starts
 
     def end_with_parent() -> None:

@@ -30,7 +30,7 @@ class Record:
     alpha: np.ndarray  # (n,)
     errors: np.ndarray  # (n, E) of the detector; of the recall, l_n / reference error
     hidden_state: np.ndarray  # (n, S)
-    features: np.ndarray  # (n, 30)
+    network_input: np.ndarray  # (n, 38) x_k, scaled: the posture and the features that the network was fed
     predicted_features: np.ndarray  # (n, 30) f^R_{k+1}
     active: np.ndarray  # (n,) disturbance under way
     can_poses: np.ndarray  # (n, 14)

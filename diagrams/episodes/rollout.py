@@ -3,18 +3,18 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, EventStatus, System
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
+from pydrake.systems.primitives import LogVectorOutput, Multiplexer
 
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.narrator import Narrator
 from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
-from diagrams.episodes.switching import DETECTION_TICKS, GUARD, Switching, Until
+from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.world.can_mover import CanMover
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, other_spot
@@ -25,12 +25,17 @@ from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
 from systems.switched_controller import SwitchedController
 
-# Outputs of the controller that are recorded in the middle of each tick, under their own names.
-RECORDED = ("rnn_step", "regulator_step", "desired_posture", "errors", "hidden_state", "predicted_features")
+# Outputs of the controller that are logged, under their own names.
+LOGGED = ("rnn_step", "regulator_step", "desired_posture", "errors", "hidden_state", "predicted_features")
+JUDGED = ("posture_history", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
 
 class Rollout:
-    """Station, controller and disturbance, wired as systems/README.md says."""
+    """Station, controller and disturbance, wired as systems/README.md says.
+
+    Everything that runs is in `diagram`, all state in its Context. So these two lines do what `run` does, without its
+    judgement: `simulator = Simulator(rollout.diagram, rollout.create_context(episode))`, `simulator.AdvanceTo(60.0)`.
+    """
 
     def __init__(
         self,
@@ -79,14 +84,32 @@ class Rollout:
             raise InputError(f"the controller cannot be built: {error}") from error
         builder.AddNamedSystem("switched_controller", self.controller)
         station, controller, period = self.station, self.controller, world.timing.period
+        plant = station.plant
         disturbance = self.disturbance = Disturbance(posture_size=policy.posture_size, period=period)
         builder.AddNamedSystem("disturbance", disturbance)
-        self.can_mover = builder.AddNamedSystem("can_mover", CanMover(station, disturbance, period))
+        self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
         builder.Connect(station.GetOutputPort("rgb_image"), controller.GetInputPort("rgb_image"))
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
         builder.Connect(controller.GetOutputPort("desired_posture"), disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
         builder.Connect(disturbance.GetOutputPort("disturbed_posture"), station.GetInputPort("desired_posture"))
+        builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
+        builder.Connect(self.can_mover.GetOutputPort("can_place"), station.GetInputPort("can_place"))
+        # Logged at a tick, before its update: what the network is fed; all else is still that of the tick before.
+        logged = [controller.GetOutputPort(name) for name in LOGGED]
+        self._sizes = [port.size() for port in logged]
+        self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
+        for i, port in enumerate(logged):
+            builder.Connect(port, self._logged.get_input_port(i))
+        self._log = LogVectorOutput(self._logged.get_output_port(), builder, period)
+        self._input_log = LogVectorOutput(controller.GetOutputPort("network_input"), builder, period)
+        self._ports = {
+            name: (system, system.GetOutputPort(name))
+            for system, name in (
+                (controller, "posture_history"), (controller, "alpha"), (disturbance, "active"),
+                (self.can_mover, "taken"), (station, "can_poses"), (station, "rgb_image"), (plant, "state"),
+            )
+        }  # fmt: skip
         self.video = None
         if video is not None:
             from pydrake.visualization import VideoWriter
@@ -101,17 +124,10 @@ class Rollout:
         self.diagram = builder.Build()
         self.diagram.set_name("pick_place")
         self.simulator = Simulator(self.diagram)
-        self.simulator.set_monitor(self._intervene)
 
-    def _intervene(self, _) -> EventStatus:
-        self.can_mover.act(self.simulator.get_mutable_context())
-        return EventStatus.DidNothing()
-
-    def prepare(self, episode: Episode, calibration: Calibration | None = None) -> TaskMonitor:
-        """Puts a fresh Context for `episode` into the simulator; `calibration` instead of the constructor's."""
-        station, given = self.station, episode.disturbance
-        self.simulator.reset_context(self.diagram.CreateDefaultContext())
-        context = self.simulator.get_mutable_context()
+    def create_context(self, episode: Episode, calibration: Calibration | None = None) -> Context:
+        """A fresh Context of `diagram` for `episode`, at time 0; `calibration` instead of the constructor's."""
+        station, given, context = self.station, episode.disturbance, self.diagram.CreateDefaultContext()
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
         meter = station.approach_meter
         meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
@@ -120,6 +136,12 @@ class Rollout:
             raise InputError("the detector has no calibration: give one, or run diagrams/baselines.py")
         self.controller.set_calibration(context, used.reference_errors, used.beta, used.gamma)
         self.can_mover.set_place(self.can_mover.GetMyMutableContextFromRoot(context), given.can_moved_to)
+        return context
+
+    def prepare(self, episode: Episode, calibration: Calibration | None = None) -> TaskMonitor:
+        """Puts a fresh Context for `episode` into the simulator, see `create_context`."""
+        station = self.station
+        self.simulator.reset_context(self.create_context(episode, calibration))
         self.simulator.Initialize()
         goal, neighbour = station.spot(episode.vacant), station.spot(other_spot(episode.vacant))
         return TaskMonitor(goal, neighbour, self.world.initial_posture)
@@ -144,34 +166,41 @@ class Rollout:
         """
         started, period = time.perf_counter(), self.world.timing.period
         monitor = self.prepare(episode, calibration)
-        narrator = Narrator(monitor, on_event)
-        rows: dict[str, list] = {name: [] for name in (*ARRAYS, "at_home")}
+        narrator, switching = Narrator(monitor, on_event), Switching(episode.disturbance.kind != "none", period)
+        root = self.simulator.get_context()
+        ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
+        judged = [ports[name] for name in JUDGED]
+        unscale, size = self.policy.scaling.unscale, self.policy.posture_size
+        rows: dict[str, list] = {name: [] for name in ARRAYS}
         success = diverged = cut = False
-        limit, extra, k = round(time_limit / period), 0, 0
-        while k < limit + extra and not success and not cut:
-            if (tick := self._tick(k, pictures)) is None:
+        limit, k = round(time_limit / period), 0
+        while k < limit + switching.ticks_disturbed and not success and not cut:
+            # To the middle of the tick: its outputs hold from the update to the next one.
+            if not self._advance((k + 0.5) * period, *ports["state"]):
                 diverged = True  # what came before is kept
                 break
-            posture, cans, active = tick["posture"], tick["can_poses"], tick["active"]
-            tick["at_home"] = bool(monitor.home(posture))
-            for name, value in tick.items():
+            history, alpha, active, taken, cans = [port.Eval(context) for port, context in judged]
+            posture, alpha, active = unscale(history[:size]), float(alpha[0]), bool(active[0] > 0.5)
+            for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans.copy())):
                 rows[name].append(value)
-            taken = self.can_mover.moved(self.simulator.get_context())
-            narrator.see(k * period, posture, tick["alpha"], active, taken, cans)
-            success = monitor.success(cans, posture) and not active
-            if not active and any(rows["active"]):
-                extra = self._switching(episode, rows).ticks_disturbed
-            if until == "switching":
-                cut = self._switching(episode, rows).decided
-            elif until == "detection":
-                cut = any(rows["active"][:-DETECTION_TICKS]) and not any(rows["active"][-DETECTION_TICKS:])
+            if pictures and k % PICTURE_EVERY == 0:
+                port, context = ports["rgb_image"]
+                rows["picture_ticks"].append(k)
+                rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())
+            home = bool(monitor.home(posture))
+            narrator.see(k * period, posture, alpha, active, taken[0] > 0.5, cans, home)
+            switching.see(alpha, active, home)
+            success = home and not active and monitor.success(cans, posture)
+            if until != "task":
+                cut = switching.decided if until == "switching" else switching.detection_over
             k += 1
             if on_tick is not None:
                 on_tick(k)
         unfinished = "the simulation diverged" if diverged else f"{until} decided" if cut else "time is up"
         narrator.say((k - 1) * period, "task done" if success else unfinished)
-        record = Record(events=narrator.events, **{name: np.array(rows[name]) for name in ARRAYS})
-        outcome = self._outcome(episode, monitor, record, self._switching(episode, rows), success, diverged)
+        arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
+        record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
+        outcome = self._outcome(episode, monitor, record, switching, success, diverged)
         if until != "task":
             outcome.success = None
             if outcome.failure != DIVERGED:
@@ -180,33 +209,16 @@ class Rollout:
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
 
-    def _tick(self, k: int, pictures: bool) -> dict[str, Any] | None:
-        """Runs tick k; what a Record keeps of it, or None if the physics diverged."""
-        period, get = self.world.timing.period, self._output
-        # At the tick, before its update: the features that the update will use, from one rendering for both.
-        if not self._advance(k * period):
-            return None
-        features = get(self.controller, "features").copy()
-        # In the middle of the tick: every other output holds from the update to the next one.
-        if not self._advance((k + 0.5) * period):
-            return None
-        posture = get(self.controller, "posture_history")[: self.policy.posture_size]
-        tick = {name: get(self.controller, name).copy() for name in RECORDED} | {
-            "time": k * period,
-            "posture": self.policy.scaling.unscale(posture),
-            "alpha": float(get(self.controller, "alpha")[0]),
-            "active": bool(get(self.disturbance, "active")[0] > 0.5),
-            "can_poses": get(self.station, "can_poses").copy(),
-            "features": features,
-        }
-        if pictures and k % PICTURE_EVERY == 0:
-            tick |= {"picture_ticks": k, "pictures": get(self.station, "rgb_image").data[:, :, :3].copy()}
-        return tick
+    def _logs(self, ticks: int) -> dict[str, np.ndarray]:
+        """What was logged of the first `ticks` ticks, (ticks, size) by name."""
+        root = self.simulator.get_context()
+        last = self._logged.get_output_port().Eval(self._logged.GetMyContextFromRoot(root))
+        rows = np.vstack((self._log.FindLog(root).data().T[1:], last))[:ticks]
+        parts = np.split(rows, np.cumsum(self._sizes)[:-1], axis=1)
+        network_input = self._input_log.FindLog(root).data().T[:ticks]
+        return dict(zip((*LOGGED, "network_input"), map(np.ascontiguousarray, (*parts, network_input)), strict=True))
 
-    def _output(self, system: System, port: str):
-        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
-
-    def _advance(self, seconds: float) -> bool:
+    def _advance(self, seconds: float, state: OutputPort, plant_context: Context) -> bool:
         """To that time; False if the physics diverged: something hard was squeezed between hard things."""
         try:
             self.simulator.AdvanceTo(seconds)
@@ -215,13 +227,7 @@ class Rollout:
                 raise
             return False
         # The last step may have overflowed, and Drake ends the process that asks for a pose then.
-        plant = self.station.plant
-        state = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(self.simulator.get_context()))
-        return bool(np.isfinite(state).all())
-
-    def _switching(self, episode: Episode, rows: dict[str, list]) -> Switching:
-        alpha, active, at_home = (np.array(rows[name]) for name in ("alpha", "active", "at_home"))
-        return Switching.of(alpha, active, at_home, episode.disturbance.kind != "none", self.world.timing.period)
+        return bool(np.isfinite(state.Eval(plant_context)).all())
 
     def _outcome(
         self,

@@ -33,12 +33,9 @@ def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
 
     Raises InputError as `make_detector` and `Rollout` do, WeightsError for a file that is missing or damaged.
     """
-    import torch
-
     from diagrams.episodes.rollout import Rollout
     from models.inference import Encoder, Policy
 
-    torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
     images, policy = kept_in_thread(("encoder", encoder), lambda: Encoder(encoder)), Policy(controller.policy)
     detector = make_detector(controller.detector, policy, controller.policy.parent)
     return Rollout(world, images, policy, detector, **shown)

@@ -15,7 +15,7 @@ from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS, other_spot
 from diagrams.world.scenario import Scenario
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, subtask_commands
 from models.errors import InputError
-from models.networks import NETWORKS
+from models.networks import network_label
 from systems.detectors import DETECTORS
 
 XY = tuple[float, float]  # m, world
@@ -107,7 +107,7 @@ class EpisodeSampler:
 
         Raises InputError as `sample` does.
         """
-        given, rnn, detector = scenario.disturbance, NETWORKS.label(scenario.rnn), DETECTORS.label(scenario.detector)
+        given, rnn, detector = scenario.disturbance, network_label(scenario.rnn), DETECTORS.label(scenario.detector)
         kind = given.kind if given.level is None else "none"
         episode = self.sample(scenario.seed, kind, scenario.can, scenario.vacant, rnn, detector)
         if given.level is None or given.kind == "none":

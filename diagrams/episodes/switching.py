@@ -27,55 +27,98 @@ DEFEATS = ("not detected", "not returned", "not resumed")
 SWITCHING_FAILURES = ("false switch", "not disturbed", *DEFEATS)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Switching:
-    """The switching of one run, from its ticks; tick indices are None where the event did not come."""
+    """The switching of one run, told tick by tick; tick indices are None where the event did not come."""
 
-    false_switches: int
-    alpha_max_before: float
-    failure: str | None
-    as_in_paper: bool  # success in the paper's words
-    decided: bool  # no later tick can change `failure`
+    disturbed: bool  # whether a disturbance was due
+    period: float  # s
+    ticks: int = 0  # seen
+    false_switches: int = 0
+    alpha_max_before: float = 0.0  # the onset
     onset: int | None = None
     end: int | None = None  # first tick after the disturbance
     detected: int | None = None
+    let_go: int | None = None  # by the LQR, alpha < 0.5, at home or not
     home: int | None = None
     resumed: int | None = None
+    _last_home: int | None = None
+    _resumed_as_in_paper: bool = False
+    _high: bool = False
 
     @classmethod
     def of(cls, alpha: np.ndarray, active: np.ndarray, at_home: np.ndarray, disturbed: bool, period: float) -> Self:
-        """`alpha`, `active`, `at_home`: (ticks,) arrays; `disturbed`: whether a disturbance was due."""
-        came = disturbed and bool(active.any())
-        onset = int(np.argmax(active)) if came else len(alpha)
-        high = alpha >= GUARD
-        crossings = int(np.count_nonzero(np.diff(high[:onset].astype(int), prepend=0) > 0))
-        largest = float(alpha[:onset].max(initial=0.0))
-        if not came:
-            failure = "false switch" if crossings else ("not disturbed" if disturbed else None)
-            return cls(crossings, largest, failure, as_in_paper=failure is None, decided=crossings > 0)
-        end = onset + int(np.count_nonzero(active))
-        detected = _first(alpha >= DETECTED, onset, end + DETECTION_TICKS)
-        home = resumed = let_go = None
-        as_in_paper, patience = False, round(RESUME_SECONDS / period) + 1
-        if detected is not None:
-            start = max(detected, end)
-            let_go = _first(~high, start, len(alpha))
-            home = _first(at_home, start, len(alpha) if let_go is None else let_go)
-            if home is not None:
-                resumed = _first(alpha <= RESUMED, home, home + patience)
-            homes, low = np.flatnonzero(at_home[start:]) + start, np.append(np.flatnonzero(alpha <= RESUMED), np.inf)
-            as_in_paper = bool(np.any(low[np.searchsorted(low, homes)] < homes + patience))
-        # What is missing, and whether it can still come.
-        if detected is None:
-            failure, over = "not detected", len(alpha) >= end + DETECTION_TICKS
-        elif home is None:
-            failure, over = "not returned", let_go is not None
-        else:
-            failure, over = ("not resumed" if resumed is None else None), len(alpha) >= home + patience
-        if crossings:
-            failure = "false switch"
-        decided = bool(crossings) or (not active[-1] and (over or resumed is not None))
-        return cls(crossings, largest, failure, as_in_paper, decided, onset, end, detected, home, resumed)
+        """Of a whole run: `alpha`, `active`, `at_home` (ticks,) arrays."""
+        switching = cls(disturbed, period)
+        for tick in zip(alpha.tolist(), active.tolist(), at_home.tolist(), strict=True):
+            switching.see(*tick)
+        return switching
+
+    def see(self, alpha: float, active: bool, at_home: bool) -> None:
+        """The next tick; `active`: the arm is disturbed, once a run in one stretch; `at_home`: see task.py."""
+        k, high = self.ticks, alpha >= GUARD
+        self.ticks += 1
+        if self.onset is None and self.disturbed and active:
+            self.onset = k
+        if self.onset is None:
+            self.false_switches += high and not self._high
+            self.alpha_max_before = max(self.alpha_max_before, alpha)
+            self._high = high
+            return
+        if self.end is None and not active:
+            self.end = k
+        if self.detected is None and alpha >= DETECTED and (self.end is None or k < self.end + DETECTION_TICKS):
+            self.detected = k
+        if self.detected is None or self.end is None:
+            return
+        if self.let_go is None and not high:
+            self.let_go = k
+        if at_home:
+            self._last_home = k
+            if self.home is None and self.let_go is None:
+                self.home = k
+        if alpha <= RESUMED:
+            if self.resumed is None and self._patient(self.home, k):
+                self.resumed = k
+            self._resumed_as_in_paper |= self._patient(self._last_home, k)
+
+    def _patient(self, home: int | None, k: int) -> bool:
+        """Whether tick k is within RESUME_SECONDS of the tick `home`."""
+        return home is not None and k <= home + round(RESUME_SECONDS / self.period)
+
+    @property
+    def as_in_paper(self) -> bool:
+        """Success in the paper's words."""
+        return self.failure is None if self.onset is None else self._resumed_as_in_paper
+
+    @property
+    def failure(self) -> str | None:
+        """What is missing so far; None: nothing."""
+        if self.false_switches:
+            return "false switch"
+        if self.onset is None:
+            return "not disturbed" if self.disturbed else None
+        if self.detected is None:
+            return "not detected"
+        if self.home is None:
+            return "not returned"
+        return "not resumed" if self.resumed is None else None
+
+    @property
+    def detection_over(self) -> bool:
+        """Whether the disturbance is over, and the ticks in which it had to be noticed."""
+        return self.end is not None and self.ticks >= self.end + DETECTION_TICKS
+
+    @property
+    def decided(self) -> bool:
+        """Whether no later tick can change `failure`."""
+        if self.false_switches or self.resumed is not None:
+            return True
+        if self.end is None:
+            return False
+        if self.detected is None:
+            return self.detection_over
+        return self.let_go is not None if self.home is None else not self._patient(self.home, self.ticks)
 
     @property
     def ticks_disturbed(self) -> int:
@@ -83,9 +126,3 @@ class Switching:
         if self.onset is None or self.end is None:
             return 0
         return (self.resumed if self.resumed is not None else self.end) - self.onset
-
-
-def _first(condition: np.ndarray, start: int, stop: int) -> int | None:
-    """First index in [start, stop) at which `condition` holds."""
-    hits = np.flatnonzero(condition[start:stop])
-    return start + int(hits[0]) if len(hits) else None

@@ -9,7 +9,6 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.errors import InputError
-from models.networks import NETWORKS
 
 if TYPE_CHECKING:
     from diagrams.episodes.episode import Episode
@@ -62,19 +61,19 @@ class NetworkArguments(Arguments):
     def check(self) -> None:
         """Raises InputError also for a network that is not there."""
         super().check()
-        NETWORKS.check(self.rnn)
+        self.policy_path  # noqa: B018 (there is one)
 
     @property
     def encoder_path(self) -> Path:
-        """File of the autoencoder."""
+        """File of the encoder."""
         return self.weights / ENCODER
 
     @property
     def policy_path(self) -> Path:
         """File of the policy."""
-        from diagrams.episodes.calibration import policy_name
+        from diagrams.episodes.calibration import policy_file
 
-        return self.weights / policy_name(NETWORKS.label(self.rnn))
+        return policy_file(self.weights, self.rnn)
 
     def closed_loop(self, kind: str = "none") -> tuple["Rollout", "Episode"]:
         """The closed loop, and the episode of `seed` under a disturbance of `kind`; raises InputError as both do."""

@@ -48,10 +48,10 @@ class Return(NetworkArguments):
     def run(self) -> int:
         """Makes and tests the certificate; returns 0 if the simulations bear it out, else 1."""
         from diagrams.drawing.return_certificate import save_certificate
-        from models.files.weights import load_policy
+        from models.files.policies import read_policy
 
         world = self.world()
-        units = load_policy(self.policy_path).scaling.half_range[:ARM_JOINTS]
+        units = read_policy(self.policy_path)[0].scaling.half_range[:ARM_JOINTS]
         sizes = {"samples": self.samples, "outside": self.samples // 5 if self.outside is None else self.outside}
         path = self.out / "return_trajectories.jsonl"
         with RowStore(path, fingerprint(world, "diagrams/hybrid")) as store, Pool(self.workers) as pool:

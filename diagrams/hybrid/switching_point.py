@@ -36,8 +36,8 @@ DECAY_TOLERANCE = 0.1  # relative, of the logarithm of the factor
 class Linearize(Arguments):
     """The switching point as a fixed point of one tick: eigenvalues, and decay predicted and simulated."""
 
-    policies: list[Path] = field(default_factory=lambda: [WEIGHTS / "lstm.safetensors"])  # policy files to compare
-    encoder: Path = WEIGHTS / ENCODER  # autoencoder file
+    policies: list[Path] = field(default_factory=lambda: [WEIGHTS / "lstm.onnx"])  # policy files to compare
+    encoder: Path = WEIGHTS / ENCODER  # file of the encoder
     samples: int = 10  # perturbations simulated for each network and subtask
     can: tuple[float, float] = (0.53, 0.0)  # X Y, m, world
     vacant: str = "left"  # spot on the shelf: left or right
@@ -46,6 +46,7 @@ class Linearize(Arguments):
 
     def run(self) -> int:
         """Analyses each policy before each subtask; returns 0 if Jacobians and decays are as predicted, else 1."""
+        import torch
         from tqdm import tqdm
 
         from diagrams.drawing.spectra import save_spectra
@@ -55,6 +56,7 @@ class Linearize(Arguments):
 
         if self.vacant not in SPOTS:
             raise InputError(f"there is no spot {self.vacant}: choose --vacant one of {', '.join(SPOTS)}")
+        torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
         world, encoder = self.world(), Encoder(self.encoder)
         EpisodeSampler(world).require_reachable(self.can)
         policies = [(path, load_policy(path)) for path in self.policies]

@@ -3,6 +3,7 @@
 import itertools
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -12,7 +13,7 @@ from diagrams.sweeps.task import Task
 from diagrams.world.configuration import World
 from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
 from models.errors import InputError
-from models.networks import NETWORKS
+from models.networks import network_label
 from systems.detectors import DETECTORS
 
 
@@ -26,7 +27,7 @@ class SweepArguments:
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn, or package.module:Class
     detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace, or package.module:Class
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
-    training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.safetensors, 1 is lstm-1.safetensors
+    training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
     until: Literal["task", "switching"] = "task"  # switching: ends once that is decided, the task is not judged
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
     scenario: Path | None = None  # YAML whose world is used
@@ -66,30 +67,31 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     Raises InputError for an unknown network or detector, InputError or WeightsError for a file that is missing,
     damaged, or does not fit the others or the world.
     """
-    from diagrams.episodes.calibration import learned_hash, policy_name, stored_calibration
+    from diagrams.episodes.calibration import learned_hash, policy_file, require_named, stored_calibration
     from diagrams.episodes.compatibility import require_trained_for
-    from models.files.weights import WeightsError, file_hash, load_autoencoder
-    from models.inference import Policy
+    from models.files.container import WeightsError
+    from models.inference import Encoder, Policy
 
     folder = arguments.weights
-    detectors = _by_label(DETECTORS, arguments.detector)
+    detectors = _by_label(DETECTORS.label, arguments.detector)
     names = {ENCODER} | {f"{label}.safetensors" for label in detectors if label != "recall"}
-    load_autoencoder(folder / ENCODER)
-    encoder_hash = file_hash(folder / ENCODER)
+    encoder_hash = Encoder(folder / ENCODER).hash
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
     seeds = episode_seeds(arguments.purpose, arguments.seed, arguments.episodes)
     tasks, hashes = [], dict[str, str]()
-    for rnn, training_seed in itertools.product(_by_label(NETWORKS, arguments.rnn), _unique(arguments.training_seeds)):
-        name = policy_name(rnn, training_seed)
+    for rnn, training_seed in itertools.product(
+        _by_label(network_label, arguments.rnn), _unique(arguments.training_seeds)
+    ):
+        path = policy_file(folder, rnn, training_seed)
+        name = path.name
         names.add(name)
-        policy = Policy(folder / name)
-        if policy.name != rnn:
-            raise WeightsError(folder / name, f"holds the network '{policy.name}', not '{rnn}'", "Give it its own name")
+        policy = Policy(path)
+        require_named(policy, rnn, path)
         if policy.hash in hashes:
             raise WeightsError(folder / name, f"is the same file as {hashes[policy.hash]}", "Give each seed its own")
         hashes[policy.hash] = name
         if policy.encoder_hash != encoder_hash:
-            raise WeightsError(folder / name, f"was trained with another autoencoder than {ENCODER}", "Give that one")
+            raise WeightsError(folder / name, f"was trained with another encoder than {ENCODER}", "Give that one")
         require_trained_for(world, policy)
         for detector, gamma in itertools.product(detectors.values(), gammas):
             own = stored_calibration(detector, policy, folder, gamma)
@@ -110,11 +112,11 @@ def _unique(values: list) -> list:
     return list(dict.fromkeys(values))
 
 
-def _by_label(registry, specs: list[str]) -> dict[str, str]:
+def _by_label(label_of: Callable[[str], str], specs: list[str]) -> dict[str, str]:
     """`specs` by the short names under which rows and files are kept; raises InputError for two with one name."""
     found: dict[str, str] = {}
     for spec in specs:
-        label = registry.label(spec)
+        label = label_of(spec)
         if found.setdefault(label, spec) != spec:
             raise InputError(f"{found[label]} and {spec} both have the name '{label}': give one of them another")
     return found

@@ -48,8 +48,10 @@ class ApproachMeter(LeafSystem):
         context.get_mutable_numeric_parameter(self._place).SetFromVector(place)
 
     def _calc_can_poses(self, context, output) -> None:
-        poses = [self._poses.Eval(context)[body] for body in self._cans]
-        output.SetFromVector(np.hstack([[*X.rotation().ToQuaternion().wxyz(), *X.translation()] for X in poses]))
+        poses = self._poses.Eval(context)  # a new list at each call
+        cans = [poses[body] for body in self._cans]
+        parts = [part for X in cans for part in (X.rotation().ToQuaternion().wxyz(), X.translation())]
+        output.SetFromVector(np.concatenate(parts))
 
     def _calc_distance(self, context, output) -> None:
         poses = self._poses.Eval(context)

@@ -1,51 +1,76 @@
-"""CanMover: takes the can out of the hand, once, in the middle of a tick, and puts it elsewhere on the desk."""
+"""The can is taken out of the hand, once, in the middle of a tick, and put elsewhere on the desk."""
 
 import math
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
+from pydrake.systems.framework import BasicVector, Context, EventStatus, InputPort, LeafSystem, State
 
+from diagrams.world.configuration import Timing
 from diagrams.world.disturbance import CAN_TAKEN_TICKS
-from diagrams.world.station import PickPlaceStation
-from systems.disturbance import Disturbance
+from diagrams.world.names import CAN_HALF_HEIGHT
+
+
+def declare_can_place(plant: MultibodyPlant, can: RigidBody, timing: Timing) -> InputPort:
+    """Declares an input of the finalized `plant` and an event that, in the middle of each tick, puts `can` there.
+
+    An event writes no state but its own system's: so it is one of the plant. The input, returned, is `can_place` (2,),
+    x and y on the desk, m, world: the can stands there from the middle of the tick on, upright, at rest. Where it is
+    NaN, or not connected, the can stays where it is.
+    """
+    port = plant.DeclareVectorInputPort("can_place", 2)
+    q = can.floating_positions_start()
+    v = plant.num_positions() + can.floating_velocities_start_in_v()
+
+    def put(context: Context, state: State) -> EventStatus:
+        if not port.HasValue(context) or np.isnan(place := port.Eval(context)).any():
+            return EventStatus.DidNothing()
+        x = state.get_mutable_discrete_state().get_mutable_value()
+        x[q : q + 7] = 1.0, 0.0, 0.0, 0.0, *place, CAN_HALF_HEIGHT
+        x[v : v + 6] = 0.0
+        return EventStatus.Succeeded()
+
+    # Between the plant's last two steps before the middle, so that rounding decides nothing.
+    steps = max(round(timing.period / timing.time_step) // 2, 1) - 0.5
+    plant.DeclarePeriodicUnrestrictedUpdateEvent(timing.period, steps * timing.time_step, put)
+    return port
 
 
 class CanMover(LeafSystem):
-    """Remembers where the can shall be put, and whether it has been; `act`, a Simulator monitor, does it.
+    """Says in which tick the can is put elsewhere on the desk: the CAN_TAKEN_TICKS-th of the disturbance.
 
     .. pydrake_system::
 
         name: CanMover
+        input_ports:
+        - ticks_since_onset
+        output_ports:
+        - can_place
+        - taken
 
-    No ports. Parameter of the Context: the place (2,), m, world; NaN where the can stays. Discrete state: (1,) 1 once
-    the can was moved. A system cannot change another's state in an event, so a monitor does, and what it remembers is
-    here.
+    - `ticks_since_onset` (1): see Disturbance.
+    - `can_place` (2), m, world: in that tick where the can is put, see `declare_can_place`; else NaN.
+    - `taken` (1): 1 from that tick on, else 0.
+
+    The place is a parameter of the Context (`set_place`). No state.
     """
 
-    def __init__(self, station: PickPlaceStation, disturbance: Disturbance, period: float):
-        """`station`, `disturbance`: systems of the same root diagram; `period`: of the ticks, s."""
+    def __init__(self):
         super().__init__()
-        self._station, self._disturbance, self._period = station, disturbance, period
         self._place = self.DeclareNumericParameter(BasicVector(np.full(2, np.nan)))
-        self._moved = self.DeclareDiscreteState(1)
+        self._ticks = self.DeclareVectorInputPort("ticks_since_onset", 1)
+        self.DeclareVectorOutputPort("can_place", 2, self._calc_place)
+        self.DeclareVectorOutputPort("taken", 1, self._calc_taken)
 
     def set_place(self, context: Context, place: list[float] | None) -> None:
         """Where the can is put (2, m, world), in this system's Context; None: it stays."""
         context.get_mutable_numeric_parameter(self._place).SetFromVector([math.nan] * 2 if place is None else place)
 
-    def moved(self, root: Context) -> bool:
-        """Whether the can was moved."""
-        return bool(self.GetMyContextFromRoot(root).get_discrete_state(self._moved).value()[0])
+    def _calc_place(self, context: Context, output: BasicVector) -> None:
+        now = self._ticks.Eval(context)[0] == CAN_TAKEN_TICKS - 1
+        output.SetFromVector(context.get_numeric_parameter(self._place).value() if now else [math.nan] * 2)
 
-    def act(self, root: Context) -> None:
-        """Moves the can in the root Context from the middle of the CAN_TAKEN_TICKS-th tick of the disturbance on."""
-        ticks = self._disturbance.ticks_since_onset(self._disturbance.GetMyContextFromRoot(root))
-        if ticks != CAN_TAKEN_TICKS - 1:
-            return
-        place = self.GetMyContextFromRoot(root).get_numeric_parameter(self._place).value()
-        time = root.get_time()
-        tick = math.floor(time / self._period + 1e-6)
-        if np.isnan(place).any() or self.moved(root) or time < (tick + 0.5) * self._period:
-            return
-        self._station.place_can(root, place)
-        self.GetMyMutableContextFromRoot(root).SetDiscreteState(self._moved, [1.0])
+    def _calc_taken(self, context: Context, output: BasicVector) -> None:
+        given = not np.isnan(context.get_numeric_parameter(self._place).value()).any()
+        output[0] = float(given and self._ticks.Eval(context)[0] >= CAN_TAKEN_TICKS - 1)

@@ -10,7 +10,7 @@ SPOTS = ("left", "right")  # on the shelf
 CANS = ("can_to_pick", "can_on_shelf")  # models of sdf/pick_place.dmd.yaml
 CAN_HALF_HEIGHT = 0.05  # m
 WEIGHTS = ROOT / "models" / "weights"  # the trained networks that ship
-ENCODER = "cae.safetensors"  # file of the autoencoder in such a folder
+ENCODER, DECODER = "encoder.onnx", "decoder.onnx"  # files of the autoencoder's halves in such a folder
 
 
 def other_spot(spot: str) -> str:

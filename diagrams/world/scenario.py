@@ -7,7 +7,7 @@ from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import SPOTS
 from models.errors import InputError
-from models.networks import NETWORKS
+from models.networks import network_label
 from systems.detectors import DETECTORS
 
 
@@ -15,7 +15,7 @@ from systems.detectors import DETECTORS
 class Scenario:
     """One episode and its world: what a scenario file can hold."""
 
-    rnn: str = "lstm"  # lstm, gru, mtrnn, or package.module:Class
+    rnn: str = "lstm"  # lstm, gru, mtrnn, another file's name, or package.module:Class
     detector: str = "recall"  # recall, knn, subspace, or package.module:Class
     seed: int = 0  # of the can's position, the vacant spot, and the disturbance's moment and posture
     can: list[float] | None = None  # X Y of the can to pick, m, world; sampled where not given
@@ -25,7 +25,7 @@ class Scenario:
 
     def check(self) -> None:
         """Raises InputError for a value outside its choices."""
-        NETWORKS.check(self.rnn)
+        network_label(self.rnn)
         DETECTORS.check(self.detector)
         if self.vacant not in (*SPOTS, None):
             raise InputError(f"there is no vacant spot '{self.vacant}': choose one of {', '.join(SPOTS)}")

@@ -33,6 +33,7 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
 from diagrams.world.approach_meter import ApproachMeter
+from diagrams.world.can_mover import declare_can_place
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS, FINGERS, other_spot
 from models.command_line import ROOT
@@ -98,6 +99,7 @@ class PickPlaceStation(Diagram):
         name: PickPlaceStation
         input_ports:
         - desired_posture
+        - can_place
         output_ports:
         - posture
         - rgb_image
@@ -107,6 +109,7 @@ class PickPlaceStation(Diagram):
         - film_image
 
     - `desired_posture` (8): joint angles, rad, and gap of the fingers, m, that the servo tracks.
+    - `can_place` (2): see `declare_can_place`; need not be connected.
     - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m (the measured one stalls on
       the can).
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
@@ -137,6 +140,7 @@ class PickPlaceStation(Diagram):
         self.gripper = self.plant.GetModelInstanceByName("gripper")
         self._wire_servo(builder)
         self._wire_gravity_compensation(builder)
+        builder.ExportInput(declare_can_place(self.plant, can_body(self.plant, CANS[0]), world.timing), "can_place")
         if camera:
             self._add_camera(builder, film_camera)
         self.approach_meter = builder.AddNamedSystem("approach_meter", ApproachMeter(self.plant))

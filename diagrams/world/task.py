@@ -5,6 +5,7 @@ posture; within 60 s plus the time disturbed. Time disturbed is from the onset t
 arm again (alpha <= 0.1 at the initial posture); without that, the disturbance alone.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,12 +64,12 @@ class TaskMonitor:
 
     def placed(self, can_poses: np.ndarray) -> bool:
         """The can stands on its spot, upright; `can_poses` (14,)."""
-        near = np.linalg.norm(can_poses[4:7] - self.place) < PLACE_TOLERANCE
+        near = math.dist(can_poses[4:7], self.place) < PLACE_TOLERANCE
         return bool(near and tilt(can_poses[:7]) < UPRIGHT_TOLERANCE)
 
     def neighbour_untouched(self, can_poses: np.ndarray) -> bool:
         """The other can has not moved and is upright; `can_poses` (14,)."""
-        near = np.linalg.norm(can_poses[11:] - self.neighbour) < NEIGHBOUR_TOLERANCE
+        near = math.dist(can_poses[11:], self.neighbour) < NEIGHBOUR_TOLERANCE
         return bool(near and tilt(can_poses[7:]) < UPRIGHT_TOLERANCE)
 
     def home(self, posture: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Subtask sequences as padded tensors, batches of them, and the run of a network over a batch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -81,6 +81,10 @@ class Batch:
     last: Tensor
     carry: Tensor
 
+    def to(self, device: torch.device) -> Self:
+        """The batch on a device."""
+        return type(self)(**{field.name: getattr(self, field.name).to(device) for field in fields(self)})
+
 
 def make_batch(
     pack: SequencePack, initial: Tensor, joints: int, options: Augmentation | None, generator: torch.Generator
@@ -101,7 +105,7 @@ def make_batch(
 
 
 def run(rnn: RecurrentNetwork, batch: Batch, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Runs the network over a batch from state (B, S): y (T, B, 38) and states (T, B, S)."""
+    """Runs the network over a batch from state (B, S), on one device: y (T, B, 38) and states (T, B, S)."""
     ticks = int(batch.last.max()) + 1
     return rnn(batch.x[:ticks], batch.closed[:ticks], state)
 

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
-from models.files.tensors import WeightsError, read_tensors, write_tensors
+from models.files.container import WeightsError
+from models.files.tensors import read_tensors, write_tensors
 
 _REMEDY = "Make it with `python diagrams/baselines.py`"
 
@@ -32,18 +32,16 @@ class StoredDetector:
 def save_detector(path: str | Path, stored: StoredDetector) -> None:
     """Writes the file in one go."""
     header = {"calibrations": stored.calibrations, "metadata": stored.metadata}
-    tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in stored.arrays.items()}
-    write_tensors(path, tensors, {"kind": "detector", "method": stored.detector} | header)
+    write_tensors(path, stored.arrays, {"kind": "detector", "method": stored.detector} | header)
 
 
 def load_detector(path: str | Path, detector: str) -> StoredDetector:
     """Reads what save_detector wrote; raises WeightsError unless it is a whole file of that detector."""
-    tensors, header = read_tensors(path, "detector")
+    arrays, header = read_tensors(path, "detector")
     if header.get("method") != detector:
         raise WeightsError(path, f"holds the detector {header.get('method')!r}, not {detector!r}", _REMEDY)
     if absent := {"calibrations", "metadata"} - set(header):
         raise WeightsError(path, f"has no {' and no '.join(sorted(absent))} in its header", _REMEDY)
-    arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
     return StoredDetector(detector, arrays, header["calibrations"], header["metadata"])
 
 

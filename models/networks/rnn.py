@@ -5,11 +5,12 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from models.errors import InputError
 from models.networks import NETWORKS
-from models.networks.mtrnn_loop import MtrnnLoop
+from models.networks.loop import Loop
 
 
 class RecurrentNetwork(nn.Module, ABC):
@@ -85,6 +86,33 @@ class LSTM(RecurrentNetwork):
         h = o * torch.tanh(c)
         return self.output(h), torch.cat((h, c), 1)
 
+    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """As RecurrentNetwork.forward; the state gets no gradient."""
+        h, c = state.split(self.units, 1)
+        # tanh(a) = 2 sigmoid(2 a) - 1: one function for all the gates, and tanh is three times as slow.
+        twice = torch.ones_like(self.gates.bias)
+        twice[3 * self.units :] = 2.0
+        from_x, from_h = (self.gates.weight.t() * twice).split((self.input_size, self.units))
+        weights = (from_x, from_h, self.gates.bias * twice, self.output.weight.t(), self.output.bias)
+        y, h, c = Loop.apply(self, x, closed, h, c, *weights)
+        return y, torch.cat((h, c), -1)
+
+    def advance(self, a: Tensor, blocks: tuple[Tensor, ...], m: Tensor) -> tuple[Tensor, Tensor]:
+        """As Cell; the memory is c."""
+        a.sigmoid_()
+        o, i, f, cell = blocks
+        m = torch.addcmul((f * m).sub_(i), i, cell, value=2.0)
+        return m, o * torch.tanh(m)
+
+    def slopes(self, a: Tensor, before: Tensor, m: Tensor, h: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """As Cell: the output gate alone goes past the memory."""
+        o, i, f, cell = a.split(self.units, 2)
+        bent = torch.tanh(m)
+        by_gates = torch.stack(
+            ((2.0 * cell - 1.0) * i * (1.0 - i), before * f * (1.0 - f), 2.0 * i * cell * (1.0 - cell)), 2
+        )
+        return o * (1.0 - bent.square()), f, (h * (1.0 - o))[:, :, None], by_gates
+
 
 class GRU(RecurrentNetwork):
     """GRU, state h."""
@@ -107,6 +135,30 @@ class GRU(RecurrentNetwork):
         h = n + z * (state - n)
         return self.output(h), h
 
+    def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """As RecurrentNetwork.forward; the state gets no gradient."""
+        # Sums: new by the input, reset, update, new by the hidden; the input has the first three, the hidden the last.
+        from_x, x_bias = (part.roll(self.units, 0) for part in (self.from_input.weight, self.from_input.bias))
+        bias = F.pad(x_bias, (0, self.units)) + F.pad(self.from_hidden.bias, (self.units, 0))
+        weights = (from_x.t(), self.from_hidden.weight.t(), bias, self.output.weight.t(), self.output.bias)
+        y, h, _ = Loop.apply(self, x, closed, state, state, *weights)
+        return y, h
+
+    def advance(self, a: Tensor, blocks: tuple[Tensor, ...], m: Tensor) -> tuple[Tensor, Tensor]:
+        """As Cell; the memory is h."""
+        n, r, z, n_h = blocks
+        a[:, self.units : 3 * self.units].sigmoid_()
+        n.addcmul_(r, n_h).tanh_()
+        h = n + z * (m - n)
+        return h, h
+
+    def slopes(self, a: Tensor, before: Tensor, m: Tensor, h: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """As Cell."""
+        n, r, z, n_h = a.split(self.units, 2)
+        by_n = (1.0 - z) * (1.0 - n.square())
+        by_sums = torch.stack((by_n, by_n * n_h * r * (1.0 - r), (before - n) * z * (1.0 - z), by_n * r), 2)
+        return torch.ones_like(h[0]), z, by_sums[:, :, :0], by_sums
+
 
 class MTRNN(RecurrentNetwork):
     """Multiple timescale RNN: u <- (1 - 1/tau) u + (1/tau)(weighted inputs), h = tanh(u); state [u_fast, u_slow].
@@ -118,6 +170,7 @@ class MTRNN(RecurrentNetwork):
     name = "mtrnn"
     # It has a twentieth of the LSTM's weights and spends them on the features unless the posture weighs more.
     # At a rate of 1e-2 it diverges.
+    rate: Tensor
     training_defaults: ClassVar[dict[str, Any]] = {"steps": 16_000, "posture_weight": 40.0, "learning_rate": 4e-3}
 
     def __init__(self, posture_size: int, feature_size: int, sizes=(80, 20), tau=(2.0, 30.0)) -> None:
@@ -127,6 +180,8 @@ class MTRNN(RecurrentNetwork):
         self.sizes, self.tau = sizes, tau
         self.to_fast = nn.Linear(self.input_size + fast + slow, fast)
         self.to_slow = nn.Linear(fast + slow, slow)
+        rate = torch.repeat_interleave(1.0 / torch.tensor(tau), torch.tensor(sizes))  # 1 / tau of each unit
+        self.register_buffer("rate", rate, persistent=False)
 
     def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         h = torch.tanh(state)
@@ -137,9 +192,23 @@ class MTRNN(RecurrentNetwork):
 
     def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """As RecurrentNetwork.forward; the state gets no gradient."""
-        rate = state.new_tensor([1.0 / tau for tau in self.tau]).repeat_interleave(state.new_tensor(self.sizes).long())
-        parts = (self.to_fast, self.to_slow, self.output)
-        return MtrnnLoop.apply(x, closed, state, rate, *(p for part in parts for p in (part.weight, part.bias)))
+        from_x, from_h = self.to_fast.weight.split((self.input_size, self.state_size), 1)
+        from_h = torch.cat((from_h, self.to_slow.weight))
+        bias = torch.cat((self.to_fast.bias, self.to_slow.bias))
+        to_y = F.pad(self.output.weight, (0, self.sizes[1]))
+        weights = (from_x.t(), from_h.t(), bias, to_y.t(), self.output.bias)
+        y, _, u = Loop.apply(self, x, closed, torch.tanh(state), state, *weights)
+        return y, u
+
+    def advance(self, a: Tensor, blocks: tuple[Tensor, ...], m: Tensor) -> tuple[Tensor, Tensor]:
+        """As Cell; the memory is u."""
+        m = torch.lerp(m, a, self.rate)
+        return m, torch.tanh(m)
+
+    def slopes(self, a: Tensor, before: Tensor, m: Tensor, h: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """As Cell."""
+        by_sums = self.rate.expand_as(h)[:, :, None]
+        return 1.0 - h.square(), 1.0 - self.rate, by_sums[:, :, :0], by_sums
 
 
 def make_rnn(spec: str, posture_size: int = 8, feature_size: int = 30) -> RecurrentNetwork:

@@ -1,4 +1,4 @@
-"""`python -m models.training {cae,rnn,recall,probe}`: the trainings in their order, and a probe of the features."""
+"""`python -m models.training {cae,export,rnn,recall,probe}`: the steps in their order, and a probe of the features."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,12 +10,14 @@ from models.errors import InputError
 def commands() -> dict[str, tuple[Any, Callable[[Any], Any]]]:
     """By the command's name: its options, and what does it."""
     from models.training.cae import CaeOptions, train_cae
+    from models.training.export import ExportOptions, export
     from models.training.probe import ProbeOptions, run_probe
     from models.training.recall import RecallOptions, train_recall
     from models.training.rnn import RnnOptions, train_rnn
 
     return {
         "cae": (CaeOptions, train_cae),
+        "export": (ExportOptions, export),
         "rnn": (RnnOptions, train_rnn),
         "recall": (RecallOptions, train_recall),
         "probe": (ProbeOptions, run_probe),

@@ -30,8 +30,14 @@ def validate(rnn: RecurrentNetwork, pack: SequencePack, initial: Tensor, gain: f
         follow: distance to the demonstrated path, and done: share of sequences brought to their end, in a rollout in
             which the arm goes where commanded and the picture is the demonstration's that fits the posture best.
     """
-    batch = make_batch(pack, initial, joints, None, torch.Generator())
-    state = rnn.initial_state(len(pack.length))
+    device = rnn.output.weight.device
+    batch = make_batch(pack, initial, joints, None, torch.Generator()).to(device)
+    with device:  # what is made from now on lies there
+        return _figures(rnn, batch, initial.to(device), gain, joints)
+
+
+def _figures(rnn: RecurrentNetwork, batch: Batch, initial: Tensor, gain: float, joints: int) -> dict[str, float]:
+    state = rnn.initial_state(batch.x.shape[1])
     y, states = run(rnn, batch, state)
     posture, feature = errors(y, batch, gain)
     valid = batch.valid[: len(y)]

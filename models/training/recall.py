@@ -11,7 +11,7 @@ from models.data.augmentation import Augmentation
 from models.data.demonstrations import content_of, read_demonstrations
 from models.data.sequences import SequencePack, make_batch, run
 from models.errors import InputError
-from models.files.tensors import WeightsError, file_hash
+from models.files.container import WeightsError, file_hash
 from models.files.weights import StoredPolicy, load_policy, save_policy
 from models.inference import Encoder
 from models.networks.recall import RecallHeads
@@ -22,11 +22,11 @@ from models.training.trainer import TrainingOptions, fit, prepare
 
 @dataclass(kw_only=True)
 class RecallOptions(TrainingOptions):
-    """Trains recall heads for each given candidate; writes policy-STEP.safetensors, network and heads in one file.
+    """Trains recall heads for each given candidate; writes policy-STEP.onnx, network and heads in one file.
 
     Args:
         policy: candidate files of `training rnn`, one or more.
-        encoder: autoencoder file that the candidates were trained with.
+        encoder: the file that the candidates were trained with.
         features: file in which `training rnn` kept the features; DIR/features.npz if not given.
         horizon: N, ticks recalled.
         hidden: units of the hidden layer; 0 gives the paper's linear heads.
@@ -76,7 +76,7 @@ class RecallTraining(SequenceTraining):
         valid = batch.valid[: len(states)] > 0
         target = recall_targets(batch.clean[: len(states)], self.options.horizon)
         loss = (self.heads(states[valid]) - target[valid]).square().mean()
-        first = self.heads(self.rnn.initial_state(1)) - self.initial
+        first = self.heads(self.rnn.initial_state(1)) - self.initial.to(self.pool.device)
         return loss + 0.01 * first.square().mean(), {"loss": loss, "rms": loss.sqrt()}
 
     def weight_file(self, done: int) -> Path | None:
@@ -93,7 +93,7 @@ def recall_errors(policy: StoredPolicy, pack: SequencePack) -> Tensor:
     """Mean squared scaled error of the joints (N,) for n = 1..N on clean sequences, inputs from the data."""
     assert policy.recall is not None
     initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
-    batch = make_batch(pack, initial, JOINTS, None, torch.Generator())
+    batch = make_batch(pack, initial, JOINTS, None, torch.Generator()).to(policy.rnn.output.weight.device)
     _, states = run(policy.rnn, batch, policy.rnn.initial_state(len(pack.length)))
     valid = batch.valid[: len(states)] > 0
     target = recall_targets(batch.clean[: len(states)], policy.recall.horizon)
@@ -109,8 +109,8 @@ def train_recall(options: RecallOptions) -> list[Path]:
         prepare(options)  # the same heads for a candidate whether others came before it or not
         policy = load_policy(path)
         if policy.encoder_hash != encoder.hash:
-            raise WeightsError(path, f"was trained with another autoencoder than {options.encoder}", "Give that one")
-        out = options.out / ("policy-" + path.stem.removeprefix("rnn-") + ".safetensors")
+            raise WeightsError(path, f"was trained with another encoder than {options.encoder}", "Give that one")
+        out = options.out / ("policy-" + path.stem.removeprefix("rnn-") + ".onnx")
         written.append(out)
         if out.is_file():
             _check_done(out, options, path, policy)

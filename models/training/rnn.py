@@ -13,10 +13,11 @@ from models.data.augmentation import Augmentation
 from models.data.demonstrations import Demonstration, content_of, read_demonstrations, read_header
 from models.data.scaling import MinMaxScaling
 from models.data.sequences import Batch, SequencePack, errors, make_batch, pack_sequences, run
-from models.files.tensors import WeightsError, file_hash
+from models.files.container import WeightsError, file_hash
 from models.files.weights import StoredPolicy, load_policy, save_policy
 from models.inference import Encoder
 from models.networks import NETWORKS
+from models.networks.onnx_export import policy_graph
 from models.networks.rnn import make_rnn, network_class
 from models.training.features import encode_dataset
 from models.training.metrics import validate
@@ -31,7 +32,7 @@ class RnnOptions(TrainingOptions):
     """Trains a recurrent network on the features and postures of the training demonstrations.
 
     Args:
-        encoder: autoencoder file; the data set is encoded once.
+        encoder: file of `training export`; the data set is encoded once.
         features: file in which the features are kept for other trainings; DIR/features.npz if not given.
         rnn: network: a name, or package.module:Class for a subclass of models.networks.rnn.RecurrentNetwork.
         start_from: candidate file whose weights and scaling are trained further, on this encoder's features; of the
@@ -51,7 +52,7 @@ class RnnOptions(TrainingOptions):
             what counts as an error of it, is not much smaller than that of the others.
         learning_rate: of Adam, decays to final_rate by a cosine; the network's own if not given.
         final_rate: see learning_rate.
-        checkpoint_every: updates between checkpoints, each with a candidate file rnn-STEP.safetensors.
+        checkpoint_every: updates between checkpoints, each with a candidate file rnn-STEP.onnx.
         validate_every: updates between validations.
         augmentation: of the inputs.
     """
@@ -118,7 +119,7 @@ class SequenceTraining(Training):
         carried = torch.rand(size, generator=generator) < self.carry_over
         start = torch.randint(0, POOL, (size,), generator=generator) * carried
         end = 1 + (step * size + torch.arange(size)) % (POOL - 1)
-        return batch, start, end
+        return batch.to(self.pool.device), start, end
 
     def run(self, data: tuple[Batch, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """y (T, B, 38) and states (T, B, S) from the pool's states; keeps the states for later sequences."""
@@ -156,7 +157,7 @@ class RnnTraining(SequenceTraining):
 
     def weight_file(self, done: int) -> Path:
         """A candidate a checkpoint."""
-        return self.options.out / f"rnn-{done}.safetensors"
+        return self.options.out / f"rnn-{done}.onnx"
 
     def export(self, path: Path, done: int) -> None:
         self.policy.metadata["step"] = done
@@ -218,7 +219,11 @@ def train_rnn(options: RnnOptions) -> Path:
         f"{len(length)} training and {len(packs['valid'].length)} validation sequences of "
         f"{int(length.min())} to {int(length.max())} ticks"
     )
-    policy = StoredPolicy(rnn, None, scaling, initial, gain, encoder.hash, metadata=metadata)
+    policy = StoredPolicy(
+        rnn=rnn, name=rnn.name, scaling=scaling, initial_posture=initial, regulator_gain=gain,
+        encoder_hash=encoder.hash, metadata=metadata,
+    )  # fmt: skip
+    policy_graph(rnn, None)  # a network that cannot be exported is refused before it is trained
     training = RnnTraining(options, packs["train"], packs["valid"], policy)
     fit(training, options, made_from, name="rnn", clip=1.0)
     return training.weight_file(training.steps)

@@ -37,11 +37,14 @@ class TrainingOptions:
         out: folder for the checkpoint, the log (CSV) and the weight files. The same command goes on with a training
             found there; other options, data or seeds are refused.
         seed: of initial weights, batches and augmentation.
+        device: "auto" takes a GPU if there is one; or torch's name of one ("cpu", "cuda"). Batches and noise are drawn
+            on the CPU and are the same on each.
     """
 
     data: Path
     out: Path
     seed: int = 0
+    device: str = "auto"
 
     def __post_init__(self) -> None:
         require_in_range(asdict(self))
@@ -101,6 +104,13 @@ class Training(nn.Module):
         raise NotImplementedError
 
 
+def device_of(options: TrainingOptions) -> str:
+    """The name of the device that the options ask for."""
+    if options.device != "auto":
+        return options.device
+    return "cuda" if torch.cuda.is_available() else "cpu"
+
+
 def step_generator(seed: int, step: int) -> torch.Generator:
     """The random generator of one update."""
     return torch.Generator().manual_seed(seed * 1_000_003 + step)
@@ -112,16 +122,22 @@ def fit(
     """Trains to training.steps, from OUT/NAME.ckpt if it is there; logs to OUT/NAME.csv and OUT/NAME-validation.csv.
 
     Args:
-        options: TrainingOptions with checkpoint_every.
+        options: TrainingOptions with checkpoint_every; the training goes to its device, and stays there.
         made_from: hashes of data and weights that the training starts from.
         clip: largest norm of the gradient.
         log_every: updates between rows of the log.
 
     Raises:
-        InputError: the checkpoint is damaged or of another training; the loss or a weight is not finite.
+        InputError: the checkpoint is damaged or of another training; the loss or a weight is not finite; there is no
+            such device.
         SystemExit: 143 after SIGTERM, with a checkpoint of the last whole update.
     """
-    training.train()
+    device = device_of(options)
+    try:
+        training.train().to(device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"--device {device} cannot be used ({reason}): choose auto, or cpu") from error
     parameters = [parameter for parameter in training.parameters() if parameter.requires_grad]
     optimizer = torch.optim.Adam(parameters, training.learning_rate, fused=True)
     checkpoint = Checkpoint(options.out / f"{name}.ckpt", training, optimizer, options.as_metadata() | made_from)

@@ -12,7 +12,7 @@ from pydrake.systems.analysis import Simulator
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
-from diagrams.episodes.calibration import Controller, policy_name, stored_calibration
+from diagrams.episodes.calibration import Controller, policy_file, stored_calibration
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.runner import build_rollout
@@ -29,7 +29,7 @@ from tests.diagrams.closed_loop_fakes import FakeEncoder, FakePolicy
 @pytest.fixture(scope="module")
 def loop(world):
     """The shipped controller in its world, and its calibration."""
-    rollout = build_rollout(world, WEIGHTS / ENCODER, Controller(WEIGHTS / policy_name("lstm"), "recall"))
+    rollout = build_rollout(world, WEIGHTS / ENCODER, Controller(policy_file(WEIGHTS, "lstm")))
     return rollout, stored_calibration("recall", rollout.policy, WEIGHTS)
 
 

@@ -109,10 +109,5 @@ class FakePolicy:
         residual = goal.copy()
         residual[:-1] += self.regulator_gain * (posture - home)[:-1]
         expected = np.concatenate((here, state[3 : -self.posture_size]))
-        return np.concatenate((residual, np.zeros(self.feature_size))), np.concatenate(
-            ([doing, tick, had_can], expected)
-        )
-
-    def recall(self, state):
-        """See models.inference.Policy.recall."""
-        return state[3 + self.posture_size :].reshape(self.horizon, self.posture_size)
+        y, after = np.append(residual, np.zeros(self.feature_size)), np.append([doing, tick, had_can], expected)
+        return y, after, after[3 + self.posture_size :].reshape(self.horizon, self.posture_size)

@@ -14,7 +14,7 @@ def recorded_run(n=120, seed=0):
         rnn_step=0.01 * rng.normal(size=(n, 8)), regulator_step=0.01 * rng.normal(size=(n, 8)),
         desired_posture=np.zeros((n, 8)), alpha=np.where((ticks > 40) & (ticks < 90), 1.0, 0.0),
         errors=np.ones((n, 11)), hidden_state=rng.normal(size=(n, 5)) * [5, 3, 2, 0.1, 0.1],
-        features=np.full((n, 30), 0.25), predicted_features=np.full((n, 30), 0.75),
+        network_input=np.full((n, 38), 0.25), predicted_features=np.full((n, 30), 0.75),
         active=(ticks > 38) & (ticks < 50), can_poses=np.zeros((n, 14)),
         picture_ticks=looked_at,
         pictures=np.tile(np.arange(len(looked_at), dtype=np.uint8)[:, None, None, None], (1, 112, 112, 3)),

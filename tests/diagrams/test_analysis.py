@@ -10,6 +10,7 @@ import pytest
 from diagrams.analysis import ANALYSES, main, parse
 from diagrams.episodes.rollout import Rollout
 from diagrams.hybrid import return_certificate
+from diagrams.world.names import WEIGHTS
 from models.command_line import ROOT
 from models.errors import InputError
 from tests.diagrams.untrained import save_untrained
@@ -30,9 +31,9 @@ def test_every_analysis_takes_the_common_options(name):
 
 def test_options_of_the_analyses():
     assert [path.name for path in parse(["modes", "--records", "a.npz", "b"]).records] == ["a.npz", "b"]
-    arguments = parse(["linearize", "--policies", "a.safetensors", "b.safetensors", "--encoder", "c.safetensors"])
-    assert [path.name for path in arguments.policies] == ["a.safetensors", "b.safetensors"]
-    assert parse(["return", "--weights", "w"]).policy_path.as_posix() == "w/lstm.safetensors"
+    arguments = parse(["linearize", "--policies", "a.onnx", "b.onnx", "--encoder", "c.onnx"])
+    assert [path.name for path in arguments.policies] == ["a.onnx", "b.onnx"]
+    assert parse(["return", "--rnn", "gru"]).policy_path == WEIGHTS / "gru.onnx"
     assert parse(["guard", "--joints", "2", "3"]).joints == (2, 3)
 
 
@@ -100,8 +101,8 @@ def test_modes_runs_an_episode_where_there_is_no_record(tmp_path, weights, monke
 
 
 def test_linearize_compares_policies(tmp_path, weights):
-    policy, out = f"{weights}/lstm.safetensors", tmp_path / "out"
-    asked = ["--policies", policy, "--encoder", f"{weights}/cae.safetensors", "--samples", "1", "--out", str(out)]
+    policy, out = f"{weights}/lstm.onnx", tmp_path / "out"
+    asked = ["--policies", policy, "--encoder", f"{weights}/encoder.onnx", "--samples", "1", "--out", str(out)]
     assert main(parse(["linearize", *asked])) in (0, 1)
     found = json.loads((out / "linearize.json").read_text())
     assert [case["subtask"] for case in found["cases"]] == [1, 2]
@@ -114,7 +115,7 @@ def test_linearize_compares_policies(tmp_path, weights):
 
 def test_a_policy_of_another_world_is_not_linearised(tmp_path, weights):
     (tmp_path / "s.yaml").write_text("world:\n  timing:\n    period: 0.05\n")
-    asked = ["--policies", f"{weights}/lstm.safetensors", "--encoder", f"{weights}/cae.safetensors"]
+    asked = ["--policies", f"{weights}/lstm.onnx", "--encoder", f"{weights}/encoder.onnx"]
     with pytest.raises(InputError, match=r"period is 0\.05, the network was trained with 0\.1"):
         main(parse(["linearize", *asked, "--scenario", str(tmp_path / "s.yaml"), "--out", str(tmp_path)]))
 

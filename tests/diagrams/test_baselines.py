@@ -68,7 +68,7 @@ def folder(tmp_path):
 
 def arguments(folder, data, **changes):
     given = BaselinesArguments(
-        [folder / "lstm.safetensors"], data, encoder=folder / "cae.safetensors", episodes=4, disturbed=3, trials=2,
+        [folder / "lstm.onnx"], data, encoder=folder / "encoder.onnx", episodes=4, disturbed=3, trials=2,
         factors=[2.0, 1.0, 0.5], betas=[30.0, 10.0], workers=0,
     )  # fmt: skip
     return replace(given, **changes)
@@ -77,7 +77,7 @@ def arguments(folder, data, **changes):
 @pytest.mark.parametrize("spec", ["knn", "subspace", OUTSIDE])
 def test_files_hold_what_was_learned_and_chosen(folder, data, asked, spec, capsys):
     assert baselines.main(arguments(folder, data, detector=[spec])) == 0
-    policy = Policy(folder / "lstm.safetensors")
+    policy = Policy(folder / "lstm.onnx")
     stored = load_detector(folder / f"{DETECTORS.label(spec)}.safetensors", DETECTORS.label(spec))
     # Of all ticks of the undisturbed runs: (18 * 2 + 12 - 8) / 20 = 2; normal peaks 6, disturbed ones 100.
     gamma = np.sqrt(6.0 * 100.0)
@@ -119,8 +119,8 @@ def test_nothing_is_tuned_on_evaluation_episodes(folder, data, asked):
 
 def test_it_goes_on_after_a_kill_and_adds_policies(folder, data, asked, monkeypatch):
     save_untrained(folder / "other", gain=0.2)
-    (folder / "other" / "lstm.safetensors").rename(folder / "lstm-1.safetensors")
-    policies = [folder / "lstm.safetensors", folder / "lstm-1.safetensors"]
+    (folder / "other" / "lstm.onnx").rename(folder / "lstm-1.onnx")
+    policies = [folder / "lstm.onnx", folder / "lstm-1.onnx"]
     given = arguments(folder, data, policies=policies, detector=["subspace"])
 
     class Killed(Exception):
@@ -149,7 +149,7 @@ def test_it_goes_on_after_a_kill_and_adds_policies(folder, data, asked, monkeypa
 
 def test_other_learned_arrays_are_another_hash(folder, data, asked, tmp_path):
     baselines.main(arguments(folder, data, detector=["knn"]))
-    policy, stored = Policy(folder / "lstm.safetensors"), load_detector(folder / "knn.safetensors", "knn")
+    policy, stored = Policy(folder / "lstm.onnx"), load_detector(folder / "knn.safetensors", "knn")
     save_detector(
         tmp_path / "knn.safetensors", replace(stored, arrays=stored.arrays | {"angles": stored.arrays["angles"] + 1})
     )
@@ -178,7 +178,7 @@ def test_other_settings_are_refused(folder, data, asked, tmp_path):
         ({"factors": []}, "need one value"),
         ({"factors": [float("nan")]}, "nan is no factor of gamma"),
         ({"betas": [0.0]}, "0.0 is no factor of gamma and no beta"),
-        ({"policies": [Path("a/lstm.safetensors"), Path("b/lstm.safetensors")]}, "several folders"),
+        ({"policies": [Path("a/lstm.onnx"), Path("b/lstm.onnx")]}, "several folders"),
         ({"trials": 0}, "--trials 0 is too small"),
         ({"workers": -1}, "--workers -1 is too small"),
         ({"seed": 100}, "seed 100"),

@@ -22,14 +22,14 @@ MEAN = 1e-4 * np.arange(1, 12)
 @pytest.fixture
 def candidates(tmp_path):
     folder = save_untrained(tmp_path / "weights")
-    paths = [tmp_path / f"{name}.safetensors" for name in ("policy-2000", "policy-4000", "policy-6000")]
+    paths = [tmp_path / f"{name}.onnx" for name in ("policy-2000", "policy-4000", "policy-6000")]
     for path in paths:
-        path.write_bytes((folder / "lstm.safetensors").read_bytes())
+        path.write_bytes((folder / "lstm.onnx").read_bytes())
     return paths
 
 
 def arguments(paths, **changes):
-    out, encoder = paths[0].parent / "out" / "lstm.safetensors", paths[0].parent / "weights" / "cae.safetensors"
+    out, encoder = paths[0].parent / "out" / "lstm.onnx", paths[0].parent / "weights" / "encoder.onnx"
     return replace(CalibrateArguments(paths, out, encoder=encoder, episodes=6, disturbed=4, workers=0), **changes)
 
 
@@ -60,9 +60,9 @@ def test_calibration_takes_the_best_candidate_and_the_middle_gamma(candidates, m
     assert (stored.beta, stored.gamma) == (30.0, pytest.approx(gamma))
     notes = stored.metadata["calibration"]
     folder = candidates[0].parent.name
-    assert notes["chosen"] == "policy-6000.safetensors"
-    assert notes["selection"][f"{folder}/policy-4000.safetensors"]["B"]["successes"] == 2
-    assert set(notes["selection"][f"{folder}/policy-2000.safetensors"]) == {"none"}
+    assert notes["chosen"] == "policy-6000.onnx"
+    assert notes["selection"][f"{folder}/policy-4000.onnx"]["B"]["successes"] == 2
+    assert set(notes["selection"][f"{folder}/policy-2000.onnx"]) == {"none"}
     assert notes["validation_seed"] == SEED_BASE["validation"]
     assert notes["normal_peaks"] == pytest.approx([1.0] * 5)  # of those that finished
     assert notes["disturbed_peaks"]["A"] == pytest.approx([200.0] * 4)
@@ -86,10 +86,10 @@ def test_calibration_without_any_success_is_an_error(candidates, monkeypatch):
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"out": Path("/dev/null/lstm.safetensors")}, r"/dev/null/lstm\.safetensors cannot be written"),
+        ({"out": Path("/dev/null/lstm.onnx")}, r"/dev/null/lstm\.onnx cannot be written"),
         ({"out": Path("/")}, r"/ cannot be written \(Is a directory\)"),
         ({"scenario": Path("nowhere.yaml")}, r"no scenario file nowhere\.yaml"),
-        ({"candidates": [Path("nowhere.safetensors")]}, r"nowhere\.safetensors: the weight file does not exist"),
+        ({"candidates": [Path("nowhere.onnx")]}, r"nowhere\.onnx: the weight file does not exist"),
         ({"workers": -1}, "number of workers -1 is too small"),
         ({"seed": 100}, "seed 100 is outside of 0 to 99"),
     ],
@@ -98,7 +98,7 @@ def test_bad_input_is_refused_before_an_episode_runs(candidates, monkeypatch, ch
     monkeypatch.setattr(validation, "run_episode", lambda job: pytest.fail("an episode was run"))
     with pytest.raises(InputError, match=named):
         calibrate.main(arguments(candidates, **changes))
-    assert not (candidates[0].parent / "out" / "lstm.safetensors").exists()  # a look leaves nothing behind
+    assert not (candidates[0].parent / "out" / "lstm.onnx").exists()  # a look leaves nothing behind
 
 
 def test_the_scenario_s_world_is_run(candidates, monkeypatch, tmp_path):

@@ -13,7 +13,7 @@ from diagrams.episodes.record import save_record
 from diagrams.figures import FiguresArguments
 from diagrams.sweeps.table import write_table
 from models.errors import InputError
-from models.files.weights import WeightsError, file_hash
+from models.files.weights import file_hash
 from tests.diagrams.recorded_run import recorded_run
 from tests.diagrams.sweep_fakes import make_task, outcome_row
 from tests.diagrams.untrained import save_untrained
@@ -27,7 +27,7 @@ def weights(tmp_path_factory):
 def save(path, weights, kind, record=None):
     values = dict.fromkeys(Outcome.__dataclass_fields__)
     values |= {"seed": 3, "disturbance": kind, "detector": "recall", "success": True, "switch_success": True}
-    values["weights_hash"] = file_hash(weights / "lstm.safetensors")
+    values["weights_hash"] = file_hash(weights / "lstm.onnx")
     save_record(path, record or recorded_run(), Outcome(**values))
 
 
@@ -93,7 +93,7 @@ def test_options():
     ("changes", "error", "named"),
     [
         ({"rnn": "rnn"}, InputError, "no network 'rnn'"),
-        ({"rnn": "gru"}, WeightsError, "gru.safetensors"),
+        ({"rnn": "gru"}, InputError, "no network 'gru'.*choose from lstm"),
         ({"sweep": [Path("nowhere")]}, InputError, "episodes.parquet does not exist: run diagrams/sweep.py"),
         ({"records": [Path("nowhere.npz")]}, InputError, "no record nowhere.npz"),
         ({"scenario": Path("nowhere.yaml")}, InputError, "no scenario file nowhere.yaml"),

@@ -37,16 +37,16 @@ def weights(tmp_path_factory):
         patch.setattr(synthetic, "WORLD", {})
         patch.setattr(validation, "run_episode", run_episode)
         data = synthetic.write(folder / "tiny.h5", grid=2, ticks=(48, 52))
-        common = ["--data", str(data), "--out", str(folder / "run"), "--encoder", str(folder / "cae.safetensors")]
+        common = ["--data", str(data), "--out", str(folder / "run"), "--encoder", str(folder / "encoder.onnx")]
         small = ["--steps", "2"]
         for command in (
             ["rnn", "--rnn", NETWORK, *common, *small],
-            ["recall", "--policy", str(folder / "run" / "rnn-2.safetensors"), *common, *small],
+            ["recall", "--policy", str(folder / "run" / "rnn-2.onnx"), *common, *small],
         ):
             assert training.main(training.parse(command)) == 0
         episodes = [
             "--encoder",
-            str(folder / "cae.safetensors"),
+            str(folder / "encoder.onnx"),
             "--episodes",
             "4",
             "--disturbed",
@@ -54,15 +54,15 @@ def weights(tmp_path_factory):
             "--workers",
             "0",
         ]
-        out = ["--candidates", str(folder / "run" / "policy-2.safetensors"), "--out", str(folder / "elman.safetensors")]
+        out = ["--candidates", str(folder / "run" / "policy-2.onnx"), "--out", str(folder / "elman.onnx")]
         assert calibrate.main(calibrate.parse([*out, *episodes])) == 0
-        fitted = ["--policies", str(folder / "elman.safetensors"), "--data", str(data), "--detector", DETECTOR]
+        fitted = ["--policies", str(folder / "elman.onnx"), "--data", str(data), "--detector", DETECTOR]
         assert baselines.main(baselines.parse([*fitted, *episodes, "--trials", "1"])) == 0
     return folder
 
 
 def test_it_is_trained_and_calibrated(weights):
-    stored = load_policy(weights / "elman.safetensors")
+    stored = load_policy(weights / "elman.onnx")
     assert (stored.rnn.name, stored.rnn.spec) == ("elman", NETWORK)
     assert 1.0 < stored.gamma < 200.0
     assert (weights / "far.safetensors").is_file()

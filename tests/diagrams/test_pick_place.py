@@ -56,7 +56,7 @@ def untrained(tmp_path_factory):
     [
         (("--seed", "-1"), ["seed -1 is negative"]),
         (("--realtime-rate", "nan"), ["real-time rate nan is negative or not finite"]),
-        (("--rnn", "perceptron"), ["no network 'perceptron'", "lstm, gru, mtrnn", "package.module:Class"]),
+        (("--rnn", "perceptron"), ["no network 'perceptron'", "choose from", "lstm"]),
         (("--disturbance", "C"), ["no disturbance 'C'", "none, A, B"]),
         (("--replay", "replay.htm"), ["replay.htm", ".html"]),
         (("--vacant", "middle"), ["no vacant spot 'middle'", "left, right"]),
@@ -66,7 +66,10 @@ def untrained(tmp_path_factory):
         (("--plot", "timeline.doc"), ["timeline.doc", ".png, .svg, .pdf"]),
         (("--json", "/dev/null/outcome.json"), ["/dev/null/outcome.json cannot be written"]),
         (("--record", "run.csv"), ["run.csv", ".npz"]),
-        (("--weights", "nowhere"), ["nowhere/cae.safetensors", "does not exist", "python -m models.training"]),
+        (
+            ("--weights", "nowhere"),
+            ["no network 'lstm' in nowhere", "another folder", "python -m models.training"],
+        ),
     ],
 )
 def test_bad_input_is_one_clear_line(tmp_path, arguments, named):
@@ -79,10 +82,10 @@ def test_unknown_key_of_a_scenario_is_one_clear_line(tmp_path):
 
 
 def test_damaged_weights_are_one_clear_line(tmp_path, untrained):
-    whole = (untrained / "lstm.safetensors").read_bytes()
-    (tmp_path / "cae.safetensors").symlink_to(untrained / "cae.safetensors")
-    (tmp_path / "lstm.safetensors").write_bytes(whole[: len(whole) // 2])
-    assert_bad_input(start(tmp_path, "--weights", tmp_path), "lstm.safetensors", "damaged")
+    whole = (untrained / "lstm.onnx").read_bytes()
+    (tmp_path / "encoder.onnx").symlink_to(untrained / "encoder.onnx")
+    (tmp_path / "lstm.onnx").write_bytes(whole[: len(whole) // 2])
+    assert_bad_input(start(tmp_path, "--weights", tmp_path), "lstm.onnx", "damaged")
 
 
 # In this process, for speed; __main__ turns these errors into the line and the code 2.
@@ -178,8 +181,8 @@ def test_failed_task_has_code_1_and_a_whole_summary(tmp_path, untrained):
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory):
     """The program on the shipped weights, then once more with its profile: (folder, what it printed) of each."""
-    for name in ("cae", "lstm"):
-        path = WEIGHTS / f"{name}.safetensors"
+    for name in ("encoder", "lstm"):
+        path = WEIGHTS / f"{name}.onnx"
         assert path.is_file(), (
             f"{path} is not there: the weights belong to the repository (see the README for training)"
         )

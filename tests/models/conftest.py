@@ -10,12 +10,13 @@ import pytest
 import torch
 
 from models.data.scaling import MinMaxScaling
+from models.files.graphs import write_graph
 from models.files.weights import StoredPolicy, save_autoencoder
 from models.networks.cae import ConvolutionalAutoencoder, to_image
 from models.networks.recall import RecallHeads
 from models.networks.rnn import make_rnn
 from models.training.rnn import RnnOptions
-from tests.models import synthetic
+from tests.models import handmade, synthetic
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -67,7 +68,7 @@ def pictures() -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def encoder_file(tmp_path_factory: pytest.TempPathFactory, pictures: np.ndarray) -> Path:
+def autoencoder_file(tmp_path_factory: pytest.TempPathFactory, pictures: np.ndarray) -> Path:
     """An untrained autoencoder whose batch norm has seen pictures."""
     torch.manual_seed(5)
     model = ConvolutionalAutoencoder()
@@ -76,8 +77,16 @@ def encoder_file(tmp_path_factory: pytest.TempPathFactory, pictures: np.ndarray)
             module.momentum = 1.0
     with torch.no_grad():
         model.decode(model.train().encode(to_image(torch.from_numpy(pictures))))
-    path = tmp_path_factory.mktemp("weights") / "cae.safetensors"
+    path = tmp_path_factory.mktemp("autoencoder") / "cae.safetensors"
     save_autoencoder(path, model, {"data_hash": "abc"})
+    return path
+
+
+@pytest.fixture(scope="session")
+def encoder_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An encoder that was put together by hand."""
+    path = tmp_path_factory.mktemp("encoder") / "encoder.onnx"
+    write_graph(path, handmade.encoder().SerializeToString(), {"kind": "encoder", "metadata": {}})
     return path
 
 
@@ -86,6 +95,7 @@ def make_policy(name: str = "lstm", recall: bool = True) -> StoredPolicy:
     rnn = make_rnn(name)
     return StoredPolicy(
         rnn=rnn,
+        name=rnn.name,
         recall=RecallHeads(rnn.state_size, 8) if recall else None,
         scaling=MinMaxScaling(-np.arange(1.0, 9.0), np.arange(2.0, 10.0)),
         initial_posture=synthetic.INITIAL_POSTURE,

@@ -54,11 +54,9 @@ class FakePolicy:
         self.log.append("step")
         m = x[: self.posture_size]
         features = 0.5 * x[self.posture_size :]
-        return np.concatenate((m + self.drift, features)), np.concatenate((m, state[: -self.posture_size]))
-
-    def recall(self, state):
-        self.log.append("recall")
-        return state[self.posture_size :].reshape(self.horizon, self.posture_size) + self.nonsense
+        after = np.concatenate((m, state[: -self.posture_size]))
+        recalled = after[self.posture_size :].reshape(self.horizon, self.posture_size) + self.nonsense
+        return np.concatenate((m + self.drift, features)), after, recalled
 
 
 class TickArm(LeafSystem):

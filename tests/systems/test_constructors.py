@@ -53,7 +53,6 @@ CASES = [
     (encoder, dict(width=224), "224 x 112.*pass equal"),
     (encoder, dict(encoder=FakeEncoder(feature_size=0)), "feature_size is 0.*at least 1"),
     (policy, dict(period=0.0), "period is 0.0.*greater than 0"),
-    (policy, dict(horizon=5, recall=lambda state: np.zeros((2, 4))), r"policy.recall gave shape \(2, 4\).*\(5, 4\)"),
     (policy, dict(initial_state=np.zeros(3)), r"initial_state has shape \(3,\).*\(12,\)"),
     (history, dict(horizon=-1), "horizon is -1.*at least 0"),
     (history, dict(period=-0.1), "period is -0.1.*greater than 0"),

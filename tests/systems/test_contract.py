@@ -65,7 +65,10 @@ CASES = {
         lambda: Disturbance(posture_size=M),
         {("desired_posture", "disturbed_posture")},
     ),
-    "SwitchedController": (make_controller, {("rgb_image", "features")}),
+    "SwitchedController": (
+        make_controller,
+        {(i, "network_input") for i in ("rgb_image", "posture")} | {("rgb_image", "features")},
+    ),
 }
 
 

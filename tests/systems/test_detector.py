@@ -4,11 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydrake.systems.analysis import Simulator
 
 from systems.detector import check_detector
 from systems.loop_closer import LoopCloser
 from systems.recall_detector import RecallDetector
-from tests.systems.controller_fakes import FakePolicy, image, make_controller
+from tests.systems.controller_fakes import PERIOD, FakePolicy, image, make_controller
 from tests.systems.outside_detector import FarFromHome
 from tests.systems.system_checks import fix
 
@@ -33,13 +34,14 @@ def test_a_calibration_holds_at_once_and_in_clones():
 
 
 def test_one_controller_serves_every_calibration():
-    policy = FakePolicy(nonsense=0.1)  # at the start l_0 = 0, l_1 = l_2 = 0.01
+    policy = FakePolicy(nonsense=0.1)  # after the first tick l_0 = 0, l_1 = l_2 = 0.01
     controller = make_controller(policy=policy)
     alphas, contexts = {}, {gamma: controller.CreateDefaultContext() for gamma in (99.0, 100.0, 101.0)}
     for gamma, context in contexts.items():
         controller.set_calibration(context, np.full(3, 1e-4), 2.0, gamma)
     for gamma, context in contexts.items():
         fix(controller, context, dict(rgb_image=image(), posture=policy.initial_posture))
+        Simulator(controller, context).AdvanceTo(0.5 * PERIOD)
         alphas[gamma] = controller.GetOutputPort("alpha").Eval(context)[0]
         clone = context.Clone()
         assert controller.GetOutputPort("alpha").Eval(clone)[0] == alphas[gamma]

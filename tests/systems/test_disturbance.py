@@ -74,9 +74,9 @@ def test_level_itself_does_not_trigger():
 
 def test_ticks_since_the_onset():
     system, context = prepared(kind="B", level=0.1, hold_ticks=1)
-    assert system.ticks_since_onset(context) == -1
+    assert system.GetOutputPort("ticks_since_onset").Eval(context)[0] == -1
     run(system, context, 4, below_from(2))
-    assert system.ticks_since_onset(context) == 1
+    assert system.GetOutputPort("ticks_since_onset").Eval(context)[0] == 1
 
 
 @pytest.mark.parametrize(

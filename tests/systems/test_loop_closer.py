@@ -18,6 +18,19 @@ def test_loop_closer_by_hand():
     assert np.array_equal(evaluate(CLOSER, "network_input", CLOSER_INPUTS | dict(alpha=[1.0])), [0.0, 4.0, -0.5])
 
 
+def test_what_is_measured_is_left_alone_where_alpha_is_one():
+    unconnected = {name: value for name, value in CLOSER_INPUTS.items() if name not in ("posture", "features")}
+    assert np.array_equal(evaluate(CLOSER, "network_input", unconnected | dict(alpha=[1.0])), [0.0, 4.0, -0.5])
+    with pytest.raises(RuntimeError, match="not connected"):
+        evaluate(CLOSER, "network_input", unconnected | dict(alpha=[np.nextafter(1.0, 0.0)]))
+
+
+def test_loop_closer_keeps_its_derivative_where_alpha_is_one():
+    value, gradient = evaluate_autodiff(CLOSER, "network_input", CLOSER_INPUTS | dict(alpha=[1.0]), "alpha")
+    assert value == pytest.approx([0.0, 4.0, -0.5])
+    assert gradient.ravel() == pytest.approx([-1.0, 2.0, -1.0])
+
+
 def test_loop_closer_converts():
     value, gradient = evaluate_autodiff(CLOSER, "network_input", CLOSER_INPUTS, "alpha")
     assert value == pytest.approx([0.75, 2.5, 0.25])

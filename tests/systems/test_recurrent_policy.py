@@ -19,7 +19,7 @@ def test_recurrent_policy_by_hand():
     assert found["predicted_posture"] == pytest.approx(initial)
     assert found["predicted_features"].tolist() == [0.0]
     assert found["hidden_state"] == pytest.approx(policy.initial_state)
-    assert found["recalled_postures"] == pytest.approx(np.concatenate((initial, initial + 0.125, initial + 0.125)))
+    assert found["recalled_postures"] == pytest.approx(np.tile(initial, 3))  # where the arm rests
 
     port = system.GetInputPort("network_input")
     port.FixValue(context, [0.5, -0.25, 1.0])
@@ -48,14 +48,25 @@ def test_recurrent_policy_stops_at_values_that_are_not_finite():
         simulator.AdvanceTo(0.01)
 
 
+def test_recurrent_policy_stops_at_a_recall_of_another_shape():
+    policy = FakePolicy()
+    step = policy.step
+    policy.step = lambda x, state: (*step(x, state)[:2], np.zeros((2, 3)))
+    system = RecurrentPolicy(policy, PERIOD)
+    simulator = Simulator(system)
+    system.GetInputPort("network_input").FixValue(simulator.get_mutable_context(), np.zeros(8))
+    with pytest.raises(ValueError, match=r"recalled shape \(2, 3\); its horizon and posture_size ask for \(2, 4\)"):
+        simulator.AdvanceTo(0.01)
+
+
 def test_a_policy_that_writes_to_its_state_does_no_harm():
     policy = FakePolicy()
     step = policy.step
 
     def writing_step(x, state):
-        y, after = step(x, state)
+        found = step(x, state)
         state[:] = 1e9
-        return y, after
+        return found
 
     policy.step = writing_step
     system = RecurrentPolicy(policy, PERIOD)

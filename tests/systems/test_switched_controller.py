@@ -34,14 +34,13 @@ def test_no_algebraic_loop_even_with_an_arm_of_direct_feedthrough(joints):
     assert len(policy.inputs) == 11
 
 
-def test_each_tick_encodes_steps_and_recalls_once_however_often_the_command_is_read():
+def test_each_tick_encodes_and_steps_once_however_often_the_command_is_read():
     loop, policy, _ = closed_loop()
-    policy.log.clear()  # of the constructor, which asks what c_0 recalls
     for k in range(4):
         loop.after_tick(k)
         for name in ("desired_posture", "alpha", "rnn_step"):
             loop.output(name)
-    assert policy.log == ["encode", "step", "recall"] * 4
+    assert policy.log == ["encode", "step"] * 4
 
 
 def test_loop_closing_at_tick_k_uses_alpha_of_the_tick_before():
@@ -84,14 +83,14 @@ def reference(policy, arm, ticks, disturb, settling_ticks, dwell_ticks):
         errors = np.mean((np.array(history) - recalled)[:, :-1] ** 2, axis=1) / references
         return np.max(1.0 / (1.0 + np.exp(-np.clip(beta * (errors - gamma), -500.0, 500.0))))
 
-    alpha = detect(np.vstack((prediction, policy.recall(state))))
+    alpha = detect(np.tile(initial, (policy.horizon + 1, 1)))
     seen = [0.0] * settling_ticks + [alpha]
     commands, alphas = [], []
     for k in range(ticks):
         m = scale(arm + disturb(k))
         x = (1.0 - alpha) * np.concatenate((m, f)) + alpha * np.concatenate((prediction, predicted_features))
-        y, state = policy.step(x, state)
-        recalled = np.vstack((prediction, policy.recall(state)))
+        y, state, recalled = policy.step(x, state)
+        recalled = np.vstack((prediction, recalled))
         prediction, predicted_features = np.clip(y[:M], -1.0, 1.0), np.clip(y[M:], -1.0, 1.0)
         history = [m, *history[:-1]]
         fell = any(seen[-j] < 0.5 <= seen[-j - 1] for j in range(1, dwell_ticks + 1))

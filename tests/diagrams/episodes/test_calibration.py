@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
     folder = save_untrained(tmp_path_factory.mktemp("weights"))
     rng, home = np.random.default_rng(0), World().initial_posture[:7]
     runs = [home + 0.1 * np.sin(0.1 * np.arange(60)[:, None] * rng.uniform(0.5, 1.5, 7)) for _ in range(3)]
-    policy = Policy(folder / "lstm.safetensors")
+    policy = Policy(folder / "lstm.onnx")
     for spec in ("knn", "subspace", OUTSIDE):
         found = {"mean_errors": [0.5] * (1 if spec == OUTSIDE else 7), "beta": 10.0, "gamma": 4.0}
         stored = StoredDetector(DETECTORS.label(spec), DETECTORS[spec].fit(runs), {policy.hash: found})
@@ -40,7 +40,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize(("spec", "criteria"), [("recall", 11), ("knn", 7), ("subspace", 7), (OUTSIDE, 1)])
 def test_detectors_by_name(folder, spec, criteria):
-    policy = Policy(folder / "lstm.safetensors")
+    policy = Policy(folder / "lstm.onnx")
     detector = make_detector(spec, policy, folder)
     assert isinstance(detector, DETECTORS[spec])
     assert detector.GetOutputPort("errors").size() == criteria
@@ -49,7 +49,7 @@ def test_detectors_by_name(folder, spec, criteria):
 
 
 def test_the_paper_s_rule_refers_to_the_mean_errors(folder):
-    policy = Policy(folder / "lstm.safetensors")
+    policy = Policy(folder / "lstm.onnx")
     policy.mean_errors, policy.reference_errors = np.full(11, 2.0), np.full(11, 6.0)
     assert stored_calibration("recall", policy, folder) == Calibration((6.0,) * 11, 30.0, 10.0)
     assert stored_calibration("recall", policy, folder, gamma=3.0) == Calibration((2.0,) * 11, 30.0, 3.0)
@@ -57,7 +57,7 @@ def test_the_paper_s_rule_refers_to_the_mean_errors(folder):
 
 
 def test_the_hash_is_that_of_what_decides(folder, tmp_path):
-    policy = Policy(folder / "lstm.safetensors")
+    policy = Policy(folder / "lstm.onnx")
     stored, before = load_detector(folder / "knn.safetensors", "knn"), learned_hash(folder, "knn", policy.hash)
 
     def hash_of(changed):
@@ -71,7 +71,7 @@ def test_the_hash_is_that_of_what_decides(folder, tmp_path):
 
 
 def test_what_is_missing_is_said(folder, tmp_path):
-    policy = Policy(folder / "lstm.safetensors")
+    policy = Policy(folder / "lstm.onnx")
     with pytest.raises(InputError, match="no detector 'svm'"):
         make_detector("svm", policy, folder)
     with pytest.raises(WeightsError, match=r"knn\.safetensors: the weight file does not exist"):
@@ -85,4 +85,4 @@ def test_what_is_missing_is_said(folder, tmp_path):
 
 
 def test_names_of_policies():
-    assert [policy_name("gru", seed) for seed in (0, 1)] == ["gru.safetensors", "gru-1.safetensors"]
+    assert [policy_name("gru", seed) for seed in (0, 1)] == ["gru.onnx", "gru-1.onnx"]

@@ -28,7 +28,11 @@ def run(onset=50, end=68, high=(52, 121), home=100, disturbed=True, false_alarm=
 
 def test_as_it_should():
     switching = run()
-    assert switching == Switching(0, 0.02, None, True, True, onset=50, end=68, detected=52, home=100, resumed=121)
+    assert (switching.false_switches, switching.alpha_max_before, switching.failure) == (0, 0.02, None)
+    assert switching.as_in_paper
+    assert switching.decided
+    when = [getattr(switching, name) for name in ("onset", "end", "detected", "home", "resumed")]
+    assert when == [50, 68, 52, 100, 121]
     assert switching.ticks_disturbed == 71
 
 

@@ -1,6 +1,7 @@
 """The whole closed loop in physics, with networks that know the teacher's motion by heart instead of trained ones."""
 
 import base64
+import itertools
 import json
 import re
 from dataclasses import fields, replace
@@ -9,6 +10,9 @@ import cv2
 import numpy as np
 import pytest
 from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import CacheIndex
+from pydrake.systems.primitives import VectorLogSink
 
 from diagrams.episodes.compatibility import facts, require_trained_for
 from diagrams.episodes.episode import Episode
@@ -16,11 +20,12 @@ from diagrams.episodes.record import Record
 from diagrams.episodes.rollout import Rollout
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
-from diagrams.world.names import ARM_JOINTS
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT
 from diagrams.world.station import FILM
 from models.errors import InputError
 
 CAN = (0.555, -0.041)
+MARK = (1, 2, 3, 4)  # no colour of a picture, whose alpha is 255
 
 
 class Run:
@@ -96,7 +101,7 @@ def test_records_have_a_row_a_tick(undisturbed, policy):
     shapes = {
         "posture": (8,), "rnn_step": (8,), "regulator_step": (8,), "desired_posture": (8,), "alpha": (), "active": (),
         "errors": (11,), "hidden_state": (policy.state_size,), "can_poses": (14,),
-        "features": (policy.feature_size,), "predicted_features": (policy.feature_size,), "time": (),
+        "network_input": (8 + policy.feature_size,), "predicted_features": (policy.feature_size,), "time": (),
     }  # fmt: skip
     assert {f.name for f in fields(Record)} == {*shapes, "picture_ticks", "pictures", "events"}
     assert {name: getattr(record, name).shape for name in shapes} == {name: (n, *s) for name, s in shapes.items()}
@@ -108,9 +113,9 @@ def test_ticks_are_aligned(undisturbed, policy, world):
     """Row k of the record is what the network got and gave in tick k."""
     record, inputs = undisturbed.record, undisturbed.inputs
     assert len(inputs) == len(record.time)  # one update a tick
-    assert undisturbed.encoded == len(record.time) + 1  # one picture a tick, two at time 0
+    assert undisturbed.encoded == len(record.time)  # one picture a tick
     assert policy.scaling.unscale(inputs[:, :8]) == pytest.approx(record.posture, abs=1e-12)
-    assert inputs[:, 8:] == pytest.approx(record.features, abs=1e-12)
+    assert np.array_equal(inputs, record.network_input)
 
 
 def test_command_of_a_tick_is_equation_3(undisturbed, moved_with_the_can, world):
@@ -140,8 +145,10 @@ def test_loop_is_closed_with_alpha_of_the_tick_before(moved_with_the_can, policy
     record, inputs = moved_with_the_can.record, moved_with_the_can.inputs
     assert record.alpha.max() > 0.999
     share = 1.0 - np.append(0.0, record.alpha[:-1])
-    # The fake predicts 0 for its features.
-    assert inputs[:, 8:] == pytest.approx(share[:, None] * record.features, abs=1e-9)
+    assert np.array_equal(inputs, record.network_input)
+    # The fake sees 1 in its first feature, and predicts 0.
+    assert inputs[:, 8] == pytest.approx(share, abs=1e-12)
+    assert moved_with_the_can.encoded == np.count_nonzero(share) < len(share)  # no picture where alpha is exactly 1
     measured = policy.scaling.scale(record.posture)
     imagined = share < 1e-3
     assert np.abs(inputs[:, :7] - measured[:, :7]).max(axis=1)[imagined].max() > 0.05
@@ -198,30 +205,77 @@ def test_robbed_hand_goes_home_and_picks_the_can_up_again(robbed):
     assert np.ptp(stopped, axis=0).max() < np.deg2rad(0.5)
 
 
-def test_a_clone_takes_the_can_as_the_original_does(rollout, policy, robbed):
-    """Cloned before and after the can is taken: whether it was is in the Context, so both go on to the same bits."""
+def state_bytes(root):
+    """All that the Context holds, without its logs."""
+    groups = [root.get_discrete_state(i).value() for i in range(root.num_discrete_state_groups())]
+    assert root.num_total_states() == sum(map(len, groups))
+    return np.concatenate(groups).tobytes()
+
+
+@pytest.mark.parametrize("name", ["undisturbed", "moved_with_the_can", "robbed"])
+def test_a_simulator_alone_gives_the_same_bits(rollout, policy, request, name):
+    """The two lines that a user writes himself: the can is taken from the hand by an event of the diagram."""
+    run = request.getfixturevalue(name)
+    policy.learn(run.episode)
+    simulator = Simulator(rollout.diagram, rollout.create_context(run.episode))
+    simulator.AdvanceTo((len(run.record.time) - 0.5) * 0.1)
+    assert np.array_equal(policy.inputs, run.record.network_input)
+    own, plain = rollout.simulator, simulator.get_context()
+    policy.learn(run.episode)
+    rollout.run(run.episode)
+    assert own.get_context().get_time() == plain.get_time()
+    assert state_bytes(own.get_context()) == state_bytes(plain)
+
+
+def test_a_clone_goes_on_to_the_same_bits_in_another_simulator(rollout, policy, robbed):
+    """Cloned with the can in the hand, just before it is taken, and just after."""
+    onset = np.flatnonzero(robbed.record.active)[0]
     policy.learn(robbed.episode)
-    rollout.prepare(robbed.episode)
-    simulator, onset = rollout.simulator, np.flatnonzero(robbed.record.active)[0]
+    simulator = Simulator(rollout.diagram, rollout.create_context(robbed.episode))
 
-    def go_on(context, ticks):
-        simulator.reset_context(context)
-        for k in ticks:
-            simulator.AdvanceTo((k + 0.5) * 0.1)
-        root = simulator.get_context()
-        plant = rollout.station.plant
-        return plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)).tobytes(), rollout.can_mover.moved(
-            root
-        )
+    def go_on(simulator):
+        simulator.AdvanceTo((onset + 12.5) * 0.1)
+        return state_bytes(simulator.get_context())
 
-    context, k = simulator.get_mutable_context(), 0
-    for until, taken in ((onset + 3, False), (onset + 6, True)):
-        _, moved = go_on(context, range(k, until))
-        assert moved is taken
-        clone, k = context.Clone(), until
-        after = range(until, onset + 12)
-        assert go_on(clone, after) == go_on(context.Clone(), after)
-        assert rollout.can_mover.moved(simulator.get_context())
+    clones = []
+    for ticks, taken in ((onset - 3, False), (onset + 4, False), (onset + 4.5, True), (onset + 5.5, True)):
+        simulator.AdvanceTo(ticks * 0.1)
+        clones.append(simulator.get_context().Clone())
+        port, root = rollout.station.GetOutputPort("can_poses"), clones[-1]
+        cans = port.Eval(rollout.station.GetMyContextFromRoot(root))
+        assert (np.hypot(*(cans[4:6] - robbed.episode.disturbance.can_moved_to)) < 1e-9) == taken
+    assert {go_on(Simulator(rollout.diagram, clone)) for clone in clones} == {go_on(simulator)}
+
+
+def test_the_can_is_where_it_was_put_at_once(robbed):
+    """In the middle of the fifth tick of the disturbance, upright, at rest."""
+    onset = np.flatnonzero(robbed.record.active)[0]
+    before, after = robbed.record.can_poses[onset + 3 : onset + 5]
+    x, y = robbed.episode.disturbance.can_moved_to
+    assert before[6] > 0.15
+    # One plant step of rest, or of falling within it, at most.
+    assert after[:7] == pytest.approx([1, 0, 0, 0, x, y, CAN_HALF_HEIGHT], abs=1e-3)
+    assert robbed.words().index("the can is taken from the hand and put elsewhere on the desk") > 0
+
+
+def test_a_tick_renders_once_where_a_picture_is_needed(rollout, policy, moved_with_the_can):
+    """Whatever is logged and judged. Counted by a mark in the picture's memory that the next rendering wipes off."""
+    whole = moved_with_the_can.record
+    policy.learn(moved_with_the_can.episode)
+    simulator = Simulator(rollout.diagram, rollout.create_context(moved_with_the_can.episode))
+    camera = rollout.station.GetSubsystemByName("camera")
+    context = camera.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    entries = (camera.get_cache_entry(CacheIndex(i)) for i in itertools.count())
+    picture = next(entry for entry in entries if "color_image" in entry.description())
+    needed = np.append(True, whole.alpha[:-1] != 1.0)
+    rendered = np.zeros(len(needed), int)
+    steps = round(0.1 / rollout.world.timing.time_step)
+    for step in range(steps * len(needed)):  # after each, the plant has moved, and the picture is out of date
+        memory = picture.get_mutable_cache_entry_value(context).GetMutableValueOrThrow().mutable_data
+        memory[0, 0] = MARK
+        simulator.AdvanceTo((step + 0.5) / steps * 0.1)
+        rendered[step // steps] += tuple(memory[0, 0]) != MARK
+    assert np.array_equal(rendered, needed.astype(int))
 
 
 def test_same_episode_gives_the_same_bits(rollout, policy, encoder, moved_before_the_grasp):
@@ -315,12 +369,13 @@ def test_a_run_for_the_switching_alone_ends_once_it_is_decided(rollout, policy, 
 
 
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
-    names = {system.get_name() for system in rollout.diagram.GetSystems()}
-    assert names == {"station", "switched_controller", "disturbance", "can_mover"}
+    names = {system.get_name() for system in rollout.diagram.GetSystems() if not isinstance(system, VectorLogSink)}
+    assert names == {"station", "switched_controller", "disturbance", "can_mover", "logged"}
     wires = {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
         f"{target.get_name()}.{target.get_input_port(into).get_name()}"
         for (target, into), (source, out) in rollout.diagram.connection_map().items()
+        if target.get_name() in names - {"logged"}
     }
     assert wires == {
         "station.rgb_image -> switched_controller.rgb_image",
@@ -328,6 +383,8 @@ def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
         "switched_controller.desired_posture -> disturbance.desired_posture",
         "station.approach_distance -> disturbance.trigger",
         "disturbance.disturbed_posture -> station.desired_posture",
+        "disturbance.ticks_since_onset -> can_mover.ticks_since_onset",
+        "can_mover.can_place -> station.can_place",
     }
 
 

@@ -28,8 +28,8 @@ class Backwards:
 
 
 def test_the_runs_come_by_kind_in_the_order_of_their_seeds(world, tmp_path, monkeypatch):
-    controller = Controller(tmp_path / "lstm.safetensors")
-    validation = Validation(Backwards(), world, tmp_path / "cae.safetensors", 3)
+    controller = Controller(tmp_path / "lstm.onnx")
+    validation = Validation(Backwards(), world, tmp_path / "encoder.onnx", 3)
     monkeypatch.setattr(validation_module, "run_validation", lambda job: job)
     asked = validation.run(controller, {"none": 3, "B": 2})
     assert [*asked] == ["none", "B"]
@@ -38,7 +38,7 @@ def test_the_runs_come_by_kind_in_the_order_of_their_seeds(world, tmp_path, monk
     assert [job.seed for job in asked["B"]] == [first, first + 1]
     assert {(job.kind, job.until) for jobs in asked.values() for job in jobs} == {("none", "task"), ("B", "detection")}
     assert {job.until for job in validation.run(controller, {"A": 2}, "switching")["A"]} == {"switching"}
-    assert all(job.controller == controller and job.encoder.name == "cae.safetensors" for job in asked["none"])
+    assert all(job.controller == controller and job.encoder.name == "encoder.onnx" for job in asked["none"])
 
 
 def test_tally(capsys):
@@ -54,9 +54,7 @@ def test_tally(capsys):
 def test_what_is_kept_of_a_run_with_the_detector_off(world, tmp_path, monkeypatch):
     monkeypatch.setattr(Rollout, "run", functools.partialmethod(Rollout.run, time_limit=1.5))
     folder = save_untrained(tmp_path, calibrated=False)
-    job = Job(
-        world, folder / "cae.safetensors", Controller(folder / "lstm.safetensors", calibration=never_fires(11)), 5
-    )
+    job = Job(world, folder / "encoder.onnx", Controller(folder / "lstm.onnx", calibration=never_fires(11)), 5)
     _, record = run_episode(job)
     found = run_validation(job)
     assert (found.ticks, found.outcome.seed, found.after) == (15, 5, None)
@@ -72,8 +70,8 @@ def test_errors_of_a_run_are_those_of_its_windows(world, tmp_path, monkeypatch, 
     folder, home = save_untrained(tmp_path), world.initial_posture[:7]
     runs = [home + 0.1 * np.sin(np.arange(40)[:, None] * rate) for rate in (0.05, 0.1)]
     save_detector(detector_file(folder, spec), StoredDetector(spec, DETECTORS[spec].fit(runs)))
-    controller = Controller(folder / "lstm.safetensors", spec, never_fires(7))
-    job = Job(world, folder / "cae.safetensors", controller, 5)
+    controller = Controller(folder / "lstm.onnx", spec, never_fires(7))
+    job = Job(world, folder / "encoder.onnx", controller, 5)
     _, record = run_episode(job)
     windows = posture_windows([np.vstack([np.tile(home, (9, 1)), record.posture[:, :7]])])
     detector = make_detector(spec, Policy(controller.policy), folder)

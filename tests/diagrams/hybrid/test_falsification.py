@@ -46,7 +46,7 @@ def test_report_by_hand():
 def test_absent_optuna_is_named_before_anything_is_run(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "cmaes", None)
     with pytest.raises(ModuleNotFoundError, match="cmaes"):
-        analysis.main(analysis.parse(["falsify", "--weights", "nowhere", "--out", str(tmp_path)]))
+        analysis.main(analysis.parse(["falsify", "--out", str(tmp_path)]))
 
 
 @pytest.mark.parametrize(("seed", "kind"), [(0, "A"), (3, "B"), (4, "B"), (1, "none")])
@@ -80,8 +80,8 @@ def test_a_blind_controller_is_defeated_and_the_program_replays_it(tmp_path, mon
     monkeypatch.setattr(Rollout, "run", partialmethod(Rollout.run, time_limit=7.0))  # too short for the task
     weights, out = tmp_path / "weights", tmp_path / "out"
     weights.mkdir()
-    (weights / "cae.safetensors").symlink_to(WEIGHTS.resolve() / "cae.safetensors")
-    save_policy(weights / "lstm.safetensors", replace(load_policy(WEIGHTS / "lstm.safetensors"), gamma=1e9))
+    (weights / "encoder.onnx").symlink_to(WEIGHTS.resolve() / "encoder.onnx")
+    save_policy(weights / "lstm.onnx", replace(load_policy(WEIGHTS / "lstm.onnx"), gamma=1e9))
     asked = ["--weights", str(weights), "--out", str(out), "--trials", "1", "--scenes", "1", "--workers", "0"]
     assert analysis.main(analysis.parse(["falsify", *asked])) == 0
     found = json.loads((out / "falsify.json").read_text())

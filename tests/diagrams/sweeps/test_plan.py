@@ -23,25 +23,25 @@ def test_every_combination_once_with_its_files(weights):
         (gamma, kind, i) for gamma in (3.0, 20.0) for kind in ("none", "A") for i in (0, 1)
     ]
     assert {t.calibration.gamma for t in tasks if t.gamma == 3.0} == {3.0}
-    assert {t.weights_hash for t in tasks} == {file_hash(weights / "lstm.safetensors")}
-    assert {t.encoder_hash for t in tasks} == {file_hash(weights / "cae.safetensors")}
-    assert names == ["cae.safetensors", "lstm.safetensors"]
+    assert {t.weights_hash for t in tasks} == {file_hash(weights / "lstm.onnx")}
+    assert {t.encoder_hash for t in tasks} == {file_hash(weights / "encoder.onnx")}
+    assert names == ["encoder.onnx", "lstm.onnx"]
 
 
 def test_a_file_under_another_name_is_no_other_network(tmp_path, weights):
-    for name in ("cae", "lstm"):
-        shutil.copy(weights / f"{name}.safetensors", tmp_path)
+    for name in ("encoder", "lstm"):
+        shutil.copy(weights / f"{name}.onnx", tmp_path)
     for name in ("gru", "lstm-1"):
-        shutil.copy(weights / "lstm.safetensors", tmp_path / f"{name}.safetensors")
-    with pytest.raises(WeightsError, match=r"gru.safetensors.*holds the network 'lstm', not 'gru'"):
+        shutil.copy(weights / "lstm.onnx", tmp_path / f"{name}.onnx")
+    with pytest.raises(InputError, match=r"gru.onnx.*holds the network 'lstm', not 'gru'"):
         plan(SweepArguments(weights=tmp_path, rnn=["gru"]), World())
-    with pytest.raises(WeightsError, match=r"lstm-1.safetensors.*is the same file as lstm.safetensors"):
+    with pytest.raises(WeightsError, match=r"lstm-1.onnx.*is the same file as lstm.onnx"):
         plan(SweepArguments(weights=tmp_path, training_seeds=[0, 1]), World())
 
 
 def test_another_autoencoder_or_world_than_in_training_is_refused(tmp_path, weights):
     save_untrained(tmp_path, encoder_hash="another")
-    with pytest.raises(WeightsError, match="was trained with another autoencoder"):
+    with pytest.raises(WeightsError, match="was trained with another encoder"):
         plan(SweepArguments(weights=tmp_path), World())
     with pytest.raises(InputError, match=r"closed opening is 0.02, the network was trained with 0.03"):
         plan(SweepArguments(weights=weights), World(closed_opening=0.02))

@@ -34,8 +34,8 @@ def test_a_worker_of_another_version_says_so(tmp_path):
 def test_weights_that_change_under_the_sweep_are_noticed(tmp_path):
     save_untrained(tmp_path)
     row = run_task(tmp_path, make_task(weights_hash="what it was", until="switching"))
-    assert "lstm.safetensors was changed under the sweep" in row["error"]
-    good = run_task(tmp_path, make_task(weights_hash=file_hash(tmp_path / "lstm.safetensors"), until="switching"))
+    assert "lstm.onnx was changed under the sweep" in row["error"]
+    good = run_task(tmp_path, make_task(weights_hash=file_hash(tmp_path / "lstm.onnx"), until="switching"))
     assert (good["error"], good["switch_failure"]) == (None, "false switch")
 
 

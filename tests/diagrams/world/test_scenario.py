@@ -45,7 +45,7 @@ def test_a_missing_file_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"rnn": "rnn"}, "no network 'rnn': choose from lstm, gru, mtrnn"),
+        ({"rnn": "no.module:Network"}, "the network 'no.module:Network' cannot be loaded"),
         ({"detector": "ear"}, "no detector 'ear': choose from recall, knn, subspace"),
         ({"disturbance": DisturbanceSpec("C")}, "no disturbance 'C': choose one of none, A, B"),
         ({"vacant": "up"}, "no vacant spot 'up': choose one of left, right"),

@@ -117,6 +117,11 @@ def test_closed_finger_at_the_start_of_the_first_subtask_only() -> None:
     assert torch.equal(batch.x[0, pack.subtask == 0, 7], grip[pack.subtask == 0])
 
 
+def test_batch_goes_to_a_device_whole() -> None:
+    batch = make_batch(random_pack(), INITIAL, 7, QUIET, torch.Generator().manual_seed(1))
+    assert {value.device.type for value in vars(batch.to(torch.device("meta"))).values()} == {"meta"}
+
+
 def test_run_closes_the_loop_on_the_clipped_prediction() -> None:
     rnn, pack = make_policy().rnn, random_pack(2, 25, 0)
     batch = make_batch(pack, INITIAL, 7, None, torch.Generator())

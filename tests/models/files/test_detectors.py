@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import torch
 
+from models.files.container import WeightsError
 from models.files.detectors import StoredDetector, calibration_of, load_detector, save_detector
-from models.files.tensors import WeightsError, write_tensors
+from models.files.tensors import write_tensors
 
 CALIBRATION = {"mean_errors": [0.1, 0.2], "beta": 30.0, "gamma": 5.0}
 
@@ -39,6 +39,6 @@ def test_what_does_not_fit_is_refused(tmp_path):
 
 def test_a_header_without_calibrations_is_named(tmp_path):
     path = tmp_path / "subspace.safetensors"
-    write_tensors(path, {"axes": torch.zeros(2, 10, 2)}, {"kind": "detector", "method": "subspace", "metadata": {}})
+    write_tensors(path, {"axes": np.zeros((2, 10, 2))}, {"kind": "detector", "method": "subspace", "metadata": {}})
     with pytest.raises(WeightsError, match=r"has no calibrations in its header.*baselines\.py"):
         load_detector(path, "subspace")

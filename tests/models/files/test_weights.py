@@ -7,8 +7,11 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from models.errors import InputError
+from models.files.container import WeightsError
+from models.files.detectors import StoredDetector, save_detector
+from models.files.graphs import write_graph
 from models.files.weights import (
-    WeightsError,
     file_hash,
     load_autoencoder,
     load_policy,
@@ -17,14 +20,16 @@ from models.files.weights import (
 )
 from models.inference import Policy
 from models.networks.cae import ConvolutionalAutoencoder
+from models.networks.onnx_export import policy_graph
+from tests.models import handmade
 from tests.models.conftest import make_policy
+from tests.models.outside import Elman
 
 
-def test_autoencoder_round_trip(tmp_path: Path, encoder_file: Path) -> None:
-    model, metadata = load_autoencoder(encoder_file)
+def test_autoencoder_round_trip(tmp_path: Path, autoencoder_file: Path) -> None:
+    model, metadata = load_autoencoder(autoencoder_file)
     assert metadata == {"data_hash": "abc"}
     assert not model.training
-    assert encoder_file.stat().st_size < 40e6
     save_autoencoder(tmp_path / "again.safetensors", model, metadata)
     again, _ = load_autoencoder(tmp_path / "again.safetensors")
     for (name, a), b in zip(model.state_dict().items(), again.state_dict().values(), strict=True):
@@ -36,7 +41,7 @@ def test_policy_round_trip(tmp_path: Path, name: str) -> None:
     policy = make_policy(name)
     policy.mean_errors, policy.beta, policy.gamma = np.linspace(0.1, 1.1, 11), 30.0, 60.0
     policy.reference_errors = 2.0 * policy.mean_errors
-    path = tmp_path / "p.safetensors"
+    path = tmp_path / "p.onnx"
     save_policy(path, policy)
     read = load_policy(path)
     for a, b in zip(
@@ -58,7 +63,7 @@ def test_same_content_same_hash(tmp_path: Path) -> None:
 
 
 def test_candidate_without_heads_is_refused_by_the_running_policy(tmp_path: Path) -> None:
-    path = tmp_path / "rnn-10.safetensors"
+    path = tmp_path / "rnn-10.onnx"
     save_policy(path, make_policy(recall=False))
     assert load_policy(path).recall is None
     with pytest.raises(WeightsError, match="training recall"):
@@ -73,18 +78,23 @@ def test_missing_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("keep", [0, 5, 1000, -100])
 def test_damaged_file(tmp_path: Path, keep: int) -> None:
-    path = tmp_path / "p.safetensors"
+    path = tmp_path / "p.onnx"
     save_policy(path, make_policy())
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(WeightsError, match=r"p\.safetensors: .*damaged"):
+    with pytest.raises(WeightsError, match=r"p\.onnx: .*damaged"):
         load_policy(path)
 
 
 def test_wrong_kind_missing_tensor_and_not_finite(tmp_path: Path) -> None:
-    path = tmp_path / "p.safetensors"
+    path = tmp_path / "p.onnx"
     save_policy(path, make_policy())
-    with pytest.raises(WeightsError, match=r"'policy'.*'autoencoder'.* needed"):
+    with pytest.raises(WeightsError, match=r"p\.onnx: the weight file is damaged"):
         load_autoencoder(path)
+    save_detector(tmp_path / "knn", StoredDetector("knn"))
+    with pytest.raises(WeightsError, match=r"'detector'.*'autoencoder'.* needed"):
+        load_autoencoder(tmp_path / "knn")
+    with pytest.raises(WeightsError, match=r"knn: the weight file is damaged .*Take the file"):
+        load_policy(tmp_path / "knn")
     header = {"format": 1, "kind": "autoencoder", "feature_activation": "tanh", "metadata": {}}
     save_file({"x": torch.zeros(1)}, path, {"header": json.dumps(header)})
     with pytest.raises(WeightsError, match="does not fit the network"):
@@ -115,27 +125,49 @@ def test_damaged_header_of_an_autoencoder(tmp_path: Path, change: dict, named: s
 
 
 @pytest.mark.parametrize(
-    ("tensors", "named"),
+    ("change", "named"),
     [
-        ({"full": torch.zeros(500, 400)}, "large layer full is stored as torch.float32"),
-        ({"full": torch.zeros(500, 400, dtype=torch.int8)}, "without a scale for each row"),
-        (
-            {"full": torch.zeros(4, 3, dtype=torch.int8), "full.row_scale": torch.ones(3)},
-            "without a scale for each row",
-        ),
+        ({"lower": [0.0] * 8, "upper": [0.0] * 8}, "lower < upper"),
+        ({"initial_posture": [0.0] * 7}, r"initial_posture has the shape \(7,\)"),
+        ({"initial_posture": "home"}, "could not convert"),
+        ({"regulator_gain": None}, "NoneType"),
+        ({"lower": None}, "MinMaxScaling needs"),
+        ({"metadata": []}, "no dictionary"),
+        ({"name": 3}, "its name is no text"),
+        ({"name": None}, "its name is no text"),
     ],
 )
-def test_large_layers_come_in_8_bits_with_their_scales(tmp_path: Path, tensors: dict, named: str) -> None:
-    header = {"format": 1, "kind": "autoencoder", "feature_activation": "tanh", "metadata": {}}
-    save_file(tensors, tmp_path / "cae", {"header": json.dumps(header)})
-    with pytest.raises(WeightsError, match=named):
-        load_autoencoder(tmp_path / "cae")
+def test_damaged_header_of_a_policy(tmp_path: Path, change: dict, named: str) -> None:
+    header = make_policy().header() | change
+    write_graph(tmp_path / "p.onnx", handmade.policy(None).SerializeToString(), header)
+    for read in (load_policy, Policy):
+        with pytest.raises(WeightsError, match=rf"its header does not describe a policy .*{named}"):
+            read(tmp_path / "p.onnx")
+    del header["encoder_hash"]
+    write_graph(tmp_path / "p.onnx", handmade.policy(None).SerializeToString(), header)
+    with pytest.raises(WeightsError, match="does not describe a policy"):
+        load_policy(tmp_path / "p.onnx")
 
 
-def test_header_that_is_no_dictionary(tmp_path: Path) -> None:
-    save_file({"x": torch.zeros(1)}, tmp_path / "p", {"header": "3"})
-    with pytest.raises(WeightsError, match="damaged"):
-        load_policy(tmp_path / "p")
+def test_torch_takes_back_only_what_it_made(tmp_path: Path) -> None:
+    header = make_policy().header()
+    write_graph(tmp_path / "p.onnx", handmade.policy(None).SerializeToString(), header)
+    with pytest.raises(WeightsError, match="was not made by torch here"):
+        load_policy(tmp_path / "p.onnx")
+    torch_made = {"rnn": "lstm", "posture_size": 8, "feature_size": 30, "recall": {"horizon": 2, "hidden": None}}
+    write_graph(tmp_path / "p.onnx", handmade.policy(None).SerializeToString(), header | {"torch": torch_made})
+    with pytest.raises(WeightsError, match="does not fit the network"):
+        load_policy(tmp_path / "p.onnx")
+
+
+def test_a_network_whose_weights_the_export_folds_is_refused(tmp_path: Path) -> None:
+    class Unused(Elman):
+        def __init__(self, *sizes: int) -> None:
+            super().__init__(*sizes)
+            self.spare = torch.nn.Linear(3, 3)
+
+    with pytest.raises(InputError, match=r"elman cannot be exported .*rnn\.spare\.bias, rnn\.spare\.weight"):
+        policy_graph(Unused(), None)
 
 
 def test_a_folder_is_no_weight_file(tmp_path: Path) -> None:
@@ -152,7 +184,7 @@ def test_error_comes_back_from_another_process() -> None:
 def test_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "cae.safetensors"
     path.write_bytes(b"old")
-    monkeypatch.setattr("models.files.tensors.save_file", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         save_autoencoder(path, ConvolutionalAutoencoder())
     assert path.read_bytes() == b"old"

@@ -94,21 +94,51 @@ def test_network_from_outside_closes_its_loop_by_the_inherited_forward() -> None
     assert y[1, 0, 0] > 1.0
 
 
-def test_written_out_loop_is_autograd_s() -> None:
-    torch.manual_seed(0)
-    rnn = MTRNN(3, 4, (5, 2), (1.5, 4.0))
-    x, state = torch.randn(12, 3, 7), 0.5 * torch.randn(3, rnn.state_size)
-    closed = torch.zeros(12, 3, 1, dtype=torch.bool)
-    closed[3:8, 0] = closed[7:, 2] = True
+SMALL = {"lstm": lambda: LSTM(3, 4, 6), "gru": lambda: GRU(3, 4, 6), "mtrnn": lambda: MTRNN(3, 4, (5, 2), (1.5, 4.0))}
+
+
+def loop_inputs(rnn: RecurrentNetwork, ticks: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Three sequences: a loop that opens again, none, one to the end; about half of the predictions are clipped."""
+    closed = torch.zeros(ticks, 3, 1, dtype=torch.bool)
+    closed[ticks // 4 : -ticks // 3, 0] = closed[ticks // 2 :, 2] = True
     with torch.no_grad():
-        rnn.output.weight *= 9.0  # so that some predictions are clipped, and some are not
-    weights = torch.randn(12, 3, 7 + rnn.state_size)
+        rnn.double().output.weight *= 9.0
+    return torch.randn(ticks, 3, 7).double(), closed, 0.5 * torch.randn(3, rnn.state_size).double()
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_written_out_loop_is_autograd_s(name: str) -> None:
+    torch.manual_seed(0)
+    rnn = SMALL[name]()
+    inputs = loop_inputs(rnn, 12)
+    weights = torch.randn(12, 3, 7 + rnn.state_size).double()
     results = []
     for forward in (type(rnn).forward, RecurrentNetwork.forward):
         rnn.zero_grad()
-        y, states = forward(rnn, x, closed, state)
+        y, states = forward(rnn, *inputs)
         (torch.cat((y, states), -1) * weights).sum().backward()
         results.append([y.detach(), states.detach(), *[parameter.grad.clone() for parameter in rnn.parameters()]])
-    assert 0.1 < (results[0][0].abs() > 1).float().mean() < 0.9
+    assert 0.1 < (results[0][0].abs() > 1).double().mean() < 0.9
     for ours, autograd_s in zip(*results, strict=True):
-        torch.testing.assert_close(ours, autograd_s, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(ours, autograd_s, rtol=1e-6, atol=1e-6)  # the MTRNN's time constants are float32
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_written_out_gradient_is_that_of_differences(name: str) -> None:
+    torch.manual_seed(1)
+    rnn = SMALL[name]()
+    inputs = loop_inputs(rnn, 6)
+    names, values = zip(*rnn.named_parameters(), strict=True)
+
+    def run(*parameters: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.func.functional_call(rnn, dict(zip(names, parameters, strict=True)), inputs)
+
+    assert torch.autograd.gradcheck(run, values)
+
+
+def test_loop_leaves_its_inputs_as_they_are() -> None:
+    rnn = SMALL["gru"]()
+    inputs = loop_inputs(rnn, 8)
+    before = [part.clone() for part in inputs]
+    rnn(*inputs)
+    assert all(torch.equal(one, other) for one, other in zip(inputs, before, strict=True))

@@ -15,6 +15,8 @@ import torch
 from models.errors import InputError
 from models.files.weights import file_hash, load_autoencoder, load_policy
 from models.training.__main__ import main, parse
+from models.training.cae import CaeOptions, train_cae
+from models.training.recall import RecallOptions, train_recall
 from models.training.rnn import RnnOptions, RnnTraining, train_rnn
 from models.training.trainer import Training
 
@@ -57,8 +59,8 @@ def kill_at(monkeypatch: pytest.MonkeyPatch, number: int, after: bool, train: Ca
 def test_killed_at_any_write_the_same_command_ends_in_the_same_files(
     options: RnnOptions, unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: bool
 ) -> None:
-    wanted = {path.name: file_hash(path) for path in unbroken.parent.glob("rnn-*.safetensors")}
-    assert set(wanted) == {"rnn-2.safetensors", "rnn-4.safetensors"}
+    wanted = {path.name: file_hash(path) for path in unbroken.parent.glob("rnn-*.onnx")}
+    assert set(wanted) == {"rnn-2.onnx", "rnn-4.onnx"}
     number = 1
     while True:
         own = replace(options, out=tmp_path / str(number), features=tmp_path / str(number) / "features.npz")
@@ -67,7 +69,7 @@ def test_killed_at_any_write_the_same_command_ends_in_the_same_files(
         if not kill_at(monkeypatch, number, after, lambda own=own: train_rnn(own)):
             break
         train_rnn(own)
-        assert {path.name: file_hash(path) for path in own.out.glob("rnn-*.safetensors")} == wanted
+        assert {path.name: file_hash(path) for path in own.out.glob("rnn-*.onnx")} == wanted
         for log in ("rnn.csv", "rnn-validation.csv"):
             assert (own.out / log).read_text() == (unbroken.parent / log).read_text()
         number += 1
@@ -89,6 +91,33 @@ def test_autoencoder_resumes_bit_for_bit(data_file: Path, tmp_path: Path, monkey
     _, metadata = load_autoencoder(whole)
     assert (metadata["step"], metadata["data_hash"], metadata["training"]["max_images"]) == (2, "00" * 32, 8)
     assert "device" not in metadata["training"]
+
+
+def test_every_training_takes_the_gpu_where_there_is_one(
+    options: RnnOptions, unbroken: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recall = RecallOptions(
+        **{name: getattr(options, name) for name in ("data", "out", "encoder", "features")}, policy=(unbroken,)
+    )
+    cae = CaeOptions(data=options.data, out=options.out, precision="float32")
+    asked, move = [], torch.nn.Module.to
+
+    def to(module: torch.nn.Module, *args, **kwargs) -> torch.nn.Module:
+        if isinstance(module, Training):
+            asked.append(args[0])
+            if args[0] == "cuda":
+                raise RuntimeError("no CUDA device is free")
+        return move(module, *args, **kwargs)
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.nn.Module, "to", to)
+    for train, given in ((train_cae, cae), (train_rnn, options), (train_recall, recall)):
+        with pytest.raises(
+            InputError, match=r"--device cuda cannot be used \(no CUDA device is free\): choose auto, or cpu"
+        ):
+            train(given)
+    assert file_hash(train_rnn(replace(options, device="cpu"))) == file_hash(unbroken)
+    assert asked == ["cuda", "cuda", "cuda", "cpu"]
 
 
 def test_weight_file_that_a_kill_left_out_is_written_at_the_next_start(options: RnnOptions, unbroken: Path) -> None:
@@ -125,7 +154,7 @@ def test_finished_training_is_not_taken_further_by_more_steps(options: RnnOption
     path = train_rnn(options)
     with pytest.raises(InputError, match=r"rnn\.ckpt was made with steps 4, not 8: give the same, or another --out"):
         train_rnn(replace(options, steps=8))
-    assert not (options.out / "rnn-8.safetensors").exists()
+    assert not (options.out / "rnn-8.onnx").exists()
     assert load_policy(path).metadata["step"] == 4
 
 
@@ -176,7 +205,7 @@ def test_what_is_not_finite_stops_and_keeps_the_last_checkpoint(
     stored = torch.load(options.out / "rnn.ckpt", weights_only=True)
     assert stored["done"] == 2
     assert all(value.isfinite().all() for value in stored["state"].values())
-    assert not (options.out / "rnn-4.safetensors").exists()
+    assert not (options.out / "rnn-4.onnx").exists()
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "foreign", "text"])

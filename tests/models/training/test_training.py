@@ -16,10 +16,11 @@ from models.networks import NETWORKS
 from models.training.__main__ import main, parse
 from models.training.cae import CaeOptions, CaeTraining, augment, load_frames, median_image
 from models.training.recall import RecallOptions, RecallTraining, train_recall
-from models.training.rnn import RnnOptions, posture_scaling, train_rnn
+from models.training.rnn import RnnOptions, RnnTraining, posture_scaling, train_rnn
 from models.training.trainer import step_generator
 from tests.models import synthetic
 from tests.models.conftest import make_policy
+from tests.models.data.test_sequences import random_pack
 from tests.models.outside import Elman
 
 
@@ -78,6 +79,41 @@ def test_weighted_loss_counts_a_moving_pixel_sixteen_fold(data_file: Path, tmp_p
     assert losses[16.0] == pytest.approx((still + 16 * moving) / 17, rel=1e-5)
 
 
+def test_precision_is_what_the_processor_multiplies(
+    data_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = CaeOptions(data=data_file, out=tmp_path, device="cpu")
+    for capabilities, precision in (
+        ({"avx512_bf16": True}, "bfloat16"),
+        ({"avx512_bf16": False}, "float32"),
+        ({}, "float32"),
+    ):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda found=capabilities: found)
+        assert options.with_precision().as_metadata()["precision"] == precision
+        assert replace(options, precision="bfloat16").with_precision().precision == "bfloat16"
+
+
+def test_bfloat16_takes_the_layers_alone(data_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("models.networks.cae.HIDDEN", 20)
+    frames = load_frames(data_file)
+    losses, gradients = [], []
+    for precision, expected in (("float32", torch.float32), ("bfloat16", torch.bfloat16)):
+        torch.manual_seed(0)
+        training = CaeTraining(CaeOptions(data=data_file, out=tmp_path, precision=precision), frames, {})
+        layers = training.model
+        seen: list[torch.dtype] = []
+        for layer in (layers.encoder.conv1, layers.encoder.full, layers.decoder.deconv0, layers.decoder.output):
+            layer.register_forward_hook(lambda _module, _inputs, out, seen=seen: seen.append(out.dtype))
+        loss, _ = training.loss(training.make_batch(0), 0)
+        loss.backward()
+        assert seen == [expected] * 4
+        assert {loss.dtype, *(parameter.grad.dtype for parameter in training.parameters())} == {torch.float32}
+        losses.append(loss.item())
+        gradients.append(layers.decoder.output.weight.grad.flatten())
+    assert losses[1] == pytest.approx(losses[0], rel=0.01)
+    assert torch.cosine_similarity(*gradients, dim=0) > 0.99
+
+
 def test_scaling_holds_what_the_network_has_to_say(data_file: Path) -> None:
     demos = read_demonstrations(data_file, "train")
     initial = demos[0].posture[0]
@@ -93,7 +129,7 @@ def test_scaling_holds_what_the_network_has_to_say(data_file: Path) -> None:
 def test_each_network_trains_and_knows_where_it_comes_from(rnn_options: RnnOptions, tmp_path: Path, name: str) -> None:
     path = train_rnn(replace(rnn_options, rnn=name, out=tmp_path, steps=2, posture_weight=None))
     policy = load_policy(path)
-    assert (path.name, policy.rnn.name, policy.recall) == ("rnn-2.safetensors", name, None)
+    assert (path.name, policy.rnn.name, policy.recall) == ("rnn-2.onnx", name, None)
     assert policy.regulator_gain == 0.1
     training = policy.metadata["training"]
     assert (training["steps"], training["posture_weight"]) == (2, NETWORKS[name].training_defaults["posture_weight"])
@@ -106,29 +142,49 @@ def test_network_from_outside_goes_all_the_way(rnn_options: RnnOptions, tmp_path
     )
     spec = f"{Elman.__module__}:Elman"
     assert main(parse(f"rnn --rnn {spec} {files} --batch-size 4".split())) == 0
-    candidate = tmp_path / "rnn-3.safetensors"
+    candidate = tmp_path / "rnn-3.onnx"
     assert isinstance(load_policy(candidate).rnn, Elman)
     assert main(parse(f"recall --policy {candidate} {files} --batch-size 4 --steps 2".split())) == 0
-    policy = Policy(tmp_path / "policy-3.safetensors")
+    policy = Policy(tmp_path / "policy-3.onnx")
     assert policy.metadata["training"]["rnn"] == spec
-    y, state = policy.step(np.zeros(38), policy.initial_state)
-    assert (y.shape, state.shape, policy.recall(state).shape) == ((38,), (40,), (10, 8))
+    y, state, recalled = policy.step(np.zeros(38), policy.initial_state)
+    assert (y.shape, state.shape, recalled.shape) == ((38,), (40,), (10, 8))
     stored = load_policy(candidate).rnn
     wanted = stored.step(torch.zeros(1, 38), torch.zeros(1, 40))[0][0]
-    np.testing.assert_array_equal(y, wanted.detach().double().numpy())
-    save_policy(tmp_path / "again.safetensors", load_policy(candidate))
-    assert file_hash(tmp_path / "again.safetensors") == file_hash(candidate)
+    np.testing.assert_allclose(y, wanted.detach().numpy(), rtol=0, atol=1e-6)
+    save_policy(tmp_path / "again.onnx", load_policy(candidate))
+    assert file_hash(tmp_path / "again.onnx") == file_hash(candidate)
 
 
 def test_network_that_is_not_here_is_named(tmp_path: Path, rnn_options: RnnOptions) -> None:
     policy = make_policy("lstm", recall=False)
     for spec, named in (("absent.place:Net", "absent"), ("tests.models.outside:NoNetwork", "is no RecurrentNetwork")):
         policy.rnn.spec = spec
-        save_policy(tmp_path / "p.safetensors", policy)
-        with pytest.raises(WeightsError, match=rf"p\.safetensors: its network cannot be built .*{named}.*Install"):
-            load_policy(tmp_path / "p.safetensors")
+        save_policy(tmp_path / "p.onnx", policy)
+        with pytest.raises(WeightsError, match=rf"p\.onnx: its network cannot be built .*{named}.*Install"):
+            load_policy(tmp_path / "p.onnx")
         with pytest.raises(InputError, match=named):
             train_rnn(replace(rnn_options, rnn=spec, out=tmp_path))
+
+
+def test_no_tensor_of_an_update_or_validation_stays_behind_on_the_cpu(
+    rnn_options: RnnOptions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the device "meta", whose tensors hold no numbers and refuse to be mixed with others'."""
+    to_list, run = torch.Tensor.tolist, lambda rnn, batch, state: rnn(batch.x, batch.closed, state)
+    monkeypatch.setattr(torch.Tensor, "tolist", lambda t: [True] * len(t) if t.is_meta else to_list(t))
+    monkeypatch.setattr(torch.Tensor, "__float__", lambda t: 0.0)
+    for module in ("rnn", "metrics"):
+        monkeypatch.setattr(f"models.training.{module}.run", run)
+    for name in ("gru", "mtrnn"):
+        policy = make_policy(name, recall=False)
+        pack = random_pack(4, 25, 10)
+        training = RnnTraining(replace(rnn_options, rnn=name, out=tmp_path), pack, pack, policy).to("meta")
+        loss, figures = training.loss(training.make_batch(0), 0)
+        loss.backward()
+        assert {value.device.type for value in (loss, *figures.values())} == {"meta"}
+        assert all(parameter.grad.is_meta for parameter in training.parameters())
+        assert set(training.validate(2)) >= {"open", "auto", "start", "done"}
 
 
 def test_rnn_trained_further_knows_its_ancestor(rnn_options: RnnOptions, candidate: Path, tmp_path: Path) -> None:
@@ -142,7 +198,7 @@ def test_rnn_trained_further_knows_its_ancestor(rnn_options: RnnOptions, candida
 
 
 def test_rnn_is_not_trained_further_for_something_else(rnn_options: RnnOptions, tmp_path: Path) -> None:
-    start = tmp_path / "rnn-1.safetensors"
+    start = tmp_path / "rnn-1.onnx"
     save_policy(start, make_policy("gru", recall=False))
     options = replace(rnn_options, out=tmp_path, start_from=start, rnn="gru")
     with pytest.raises(WeightsError, match="has the network gru, not lstm"):
@@ -158,7 +214,7 @@ def test_rnn_is_not_trained_further_for_something_else(rnn_options: RnnOptions, 
 
 def test_recall_training_moves_no_main_weight(recall_options: RecallOptions, candidate: Path, tmp_path: Path) -> None:
     (path,) = train_recall(recall_options)
-    assert path == tmp_path / "policy-4.safetensors"
+    assert path == tmp_path / "policy-4.onnx"
     before, after = load_policy(candidate).rnn.state_dict(), load_policy(path).rnn.state_dict()
     assert all(torch.equal(before[name], after[name]) for name in before)
     written = path.stat().st_mtime_ns
@@ -170,14 +226,14 @@ def test_recall_that_is_done_is_not_taken_for_another(
     recall_options: RecallOptions, candidate: Path, tmp_path: Path, grown_data_file: Path
 ) -> None:
     train_recall(recall_options)
-    with pytest.raises(InputError, match=r"policy-4\.safetensors was made with data [0-9a-f]{64}, not [0-9a-f]{64}"):
+    with pytest.raises(InputError, match=r"policy-4\.onnx was made with data [0-9a-f]{64}, not [0-9a-f]{64}"):
         train_recall(replace(recall_options, data=grown_data_file))
-    with pytest.raises(InputError, match=r"policy-4\.safetensors was made with learning_rate 0\.002, not 0\.1"):
+    with pytest.raises(InputError, match=r"policy-4\.onnx was made with learning_rate 0\.002, not 0\.1"):
         train_recall(replace(recall_options, learning_rate=0.1))
     policy = load_policy(candidate)
     with torch.no_grad():
         policy.rnn.output.bias += 1.0
-    other = tmp_path / "rnn-4.safetensors"
+    other = tmp_path / "rnn-4.onnx"
     save_policy(other, policy)
     with pytest.raises(InputError, match="was made from another network than"):
         train_recall(replace(recall_options, policy=(other,)))
@@ -198,9 +254,9 @@ def test_recall_heads_learn(recall_options: RecallOptions, tmp_path: Path, capsy
 
 
 def test_recall_refuses_another_encoder(recall_options: RecallOptions, tmp_path: Path) -> None:
-    save_policy(tmp_path / "rnn-1.safetensors", make_policy(recall=False))
-    with pytest.raises(WeightsError, match="another autoencoder"):
-        train_recall(replace(recall_options, policy=(tmp_path / "rnn-1.safetensors",)))
+    save_policy(tmp_path / "rnn-1.onnx", make_policy(recall=False))
+    with pytest.raises(WeightsError, match="another encoder"):
+        train_recall(replace(recall_options, policy=(tmp_path / "rnn-1.onnx",)))
 
 
 def test_each_network_is_trained_as_it_needs_unless_told(rnn_options: RnnOptions) -> None:

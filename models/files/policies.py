@@ -1,0 +1,77 @@
+"""Policy files: a recurrent network with its recall heads as one graph, and what belongs to it. No torch in here."""
+
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from models.data.scaling import MinMaxScaling
+from models.files.container import RETRAIN, WeightsError
+from models.files.graphs import Graph, read_graph, write_graph
+
+
+@dataclass(kw_only=True)
+class PolicyFacts:
+    """What a policy file says beside its graph; postures in physical units (rad, m), what the calibration gives None
+    before it.
+
+    Attributes:
+        name: of the network, short.
+        scaling: bounds of the posture (M,).
+        initial_posture: (M,).
+        regulator_gain: K per tick, the same for each joint.
+        encoder_hash: hash of the encoder's file whose features it was trained on.
+        mean_errors: (N+1,) mean l_n of normal runs; reference_errors: (N+1,) what l_n is divided by.
+        beta, gamma: of the detector's sigmoid.
+        torch: what the torch modules are built from again; None where torch did not make them.
+        metadata: anything else, JSON-serialisable: training arguments, hash of the data set.
+    """
+
+    name: str
+    scaling: MinMaxScaling
+    initial_posture: np.ndarray
+    regulator_gain: float
+    encoder_hash: str
+    mean_errors: np.ndarray | None = None
+    reference_errors: np.ndarray | None = None
+    beta: float | None = None
+    gamma: float | None = None
+    torch: dict[str, Any] | None = None
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of_header(cls, path: str | Path, header: dict[str, Any]) -> Self:
+        """From the header of the file `path`; raises WeightsError where it describes no policy."""
+        known = {entry.name for entry in fields(PolicyFacts)} - {"scaling"}
+        try:
+            found = {name: value for name, value in header.items() if name in known}
+            for name in ("initial_posture", "mean_errors", "reference_errors"):
+                if found.get(name) is not None:
+                    found[name] = np.array(found[name], float)
+            facts = cls(scaling=MinMaxScaling(header["lower"], header["upper"]), **found)
+            if facts.initial_posture.shape != facts.scaling.lower.shape:
+                raise ValueError(f"initial_posture has the shape {facts.initial_posture.shape}")
+            if not isinstance(facts.name, str) or not isinstance(facts.metadata, dict):
+                raise ValueError("its name is no text, or its metadata no dictionary")
+            facts.regulator_gain = float(facts.regulator_gain)
+        except (KeyError, TypeError, ValueError) as error:
+            raise WeightsError(path, f"its header does not describe a policy ({error})", RETRAIN) from error
+        return facts
+
+    def header(self) -> dict[str, Any]:
+        """The header that `of_header` reads."""
+        found = {entry.name: getattr(self, entry.name) for entry in fields(PolicyFacts)}
+        bounds = found.pop("scaling")
+        return {"kind": "policy", "lower": bounds.lower.tolist(), "upper": bounds.upper.tolist()} | found
+
+
+def read_policy(path: str | Path) -> tuple[PolicyFacts, Graph]:
+    """The file `path`; raises WeightsError unless it is a whole policy file."""
+    graph = read_graph(path, "policy")
+    return PolicyFacts.of_header(path, graph.header), graph
+
+
+def write_policy(path: str | Path, facts: PolicyFacts, content: bytes) -> None:
+    """Writes the graph `content` (an ONNX model) and its facts into one file."""
+    write_graph(path, content, facts.header())

@@ -1,0 +1,52 @@
+"""A network that torch did not make is flown: its graph is put together by hand, its header written by hand."""
+
+import json
+
+import numpy as np
+import onnx
+import pytest
+
+from diagrams import pick_place, sweep
+from diagrams.episodes.record import load_record
+from diagrams.world.configuration import World
+from models.files.weights import file_hash
+from tests.diagrams.untrained import save_untrained
+from tests.models import handmade
+
+DRIFT = 0.05  # scaled units a tick, of the first joint
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """A folder with an encoder and with handmade.onnx, written by the package onnx alone."""
+    folder = save_untrained(tmp_path_factory.mktemp("weights"))
+    posture = World().initial_posture
+    header = {
+        "kind": "policy", "format": 1, "name": "handmade", "lower": (posture - 1.0).tolist(),
+        "upper": (posture + 1.0).tolist(), "initial_posture": posture.tolist(), "regulator_gain": 0.1,
+        "encoder_hash": file_hash(folder / "encoder.onnx"), "mean_errors": [1.0] * 3, "reference_errors": [1.0] * 3,
+        "beta": 30.0, "gamma": 10.0,
+    }  # fmt: skip
+    onnx.save(handmade.policy(json.dumps(header), drift=DRIFT), folder / "handmade.onnx")
+    return folder
+
+
+def test_it_flies(weights, tmp_path, monkeypatch):
+    """It predicts the posture it sees plus a drift of joint 1, from which the LQR's pull is still to be taken."""
+    monkeypatch.chdir(tmp_path)
+    words = ["--rnn", "handmade", "--weights", weights, "--disturbance", "none", "--record", "run.npz"]
+    assert pick_place.main(pick_place.parse([*map(str, words)])) == 1  # it does not know the task
+    record, outcome = load_record(tmp_path / "run.npz")
+    assert (outcome["rnn"], outcome["switched"]) == ("handmade", False)
+    assert record.hidden_state.shape[1] == 16
+    # The step is the drift less the pull home: joint 1 comes to rest where both are equal, a tenth of it a tick.
+    start, end = record.posture[0, 0], record.posture[-1, 0]
+    assert end - start == pytest.approx(DRIFT / 0.1, abs=0.02)
+    np.testing.assert_allclose(record.posture[-1, 1:7], record.posture[0, 1:7], atol=0.02)
+
+
+def test_a_sweep_takes_it_too(weights, tmp_path):
+    words = ["--rnn", "handmade", "--weights", weights, "--out", tmp_path, "--episodes", "1", "--disturbance", "none"]
+    assert sweep.main(sweep.parse([*map(str, words), "--workers", "1", "--until", "switching"])) == 0
+    row = json.loads((tmp_path / "rows.jsonl").read_text().splitlines()[-1])
+    assert "handmade" in json.dumps(row)
