@@ -30,12 +30,12 @@ class Timing:
     time_step: float = 0.0125  # step of the discrete plant, s: period / 8, see ticks_beside_a_step
 
     def ticks_beside_a_step(self, count: int) -> int:
-        """How many of the first `count` ticks are no step of the plant: Drake counts both as k * period in doubles.
+        """How many of ticks 1 to `count` are no step of the plant: Drake counts both as k * period in doubles.
 
         One ulp later than the step, and the tick's updates run after it and see the state that it made.
         """
-        k = np.arange(count)
-        steps = max(1, round(self.period / self.time_step))  # a tick
+        k = np.arange(1, count + 1)
+        steps = max(1.0, float(np.rint(self.period / self.time_step)))  # a tick
         return int(np.count_nonzero(k * self.period != k * steps * self.time_step))
 
 
@@ -135,7 +135,7 @@ class World:
                 )
         period, step, angle = self.timing.period, self.timing.time_step, self.camera.field_of_view_deg
         if late := self.timing.ticks_beside_a_step(TICKS_CHECKED):
-            halved = period / 2 ** max(0, round(math.log2(period / step)))
+            halved = period / 2 ** max(0, round(math.log2(min(period / step, 1e6))))
             raise InputError(
                 f"world.timing.time_step {step} s: {late} of the first {TICKS_CHECKED} ticks of {period} s are no step "
                 "of the plant to the last bit, and would see the posture a step late: "

@@ -211,7 +211,7 @@ def test_a_step_that_is_not_exact_in_binary_is_late_and_is_refused():
     timing = Timing(time_step=0.01)
     late = late_ticks(0.01, 100)
     assert late > 10
-    assert late == timing.ticks_beside_a_step(100)
+    assert late == timing.ticks_beside_a_step(99)
 
 
 def test_servo_gains_are_really_set(station):
