@@ -33,8 +33,8 @@ JUDGED = ("posture_history", "alpha", "active", "taken", "can_poses")  # looked 
 class Rollout:
     """Station, controller and disturbance, wired as systems/README.md says.
 
-    Everything that runs is in `diagram`, all state in its Context. So these two lines do what `run` does, without its
-    judgement: `simulator = Simulator(rollout.diagram, rollout.create_context(episode))`, `simulator.AdvanceTo(60.0)`.
+    Everything that runs is in `diagram`, all its state in the Context: the loop of a Simulator of one's own, which
+    systems/README.md shows, gives the same bits as `run`.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Rollout:
         builder.Connect(disturbance.GetOutputPort("disturbed_posture"), station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
         builder.Connect(self.can_mover.GetOutputPort("can_place"), station.GetInputPort("can_place"))
-        # Logged at a tick, before its update: what the network is fed; all else is still that of the tick before.
+        # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
         logged = [controller.GetOutputPort(name) for name in LOGGED]
         self._sizes = [port.size() for port in logged]
         self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
@@ -103,6 +103,8 @@ class Rollout:
             builder.Connect(port, self._logged.get_input_port(i))
         self._log = LogVectorOutput(self._logged.get_output_port(), builder, period)
         self._input_log = LogVectorOutput(controller.GetOutputPort("network_input"), builder, period)
+        self._log.set_name("log")
+        self._input_log.set_name("network_input_log")
         self._ports = {
             name: (system, system.GetOutputPort(name))
             for system, name in (
