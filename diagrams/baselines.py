@@ -44,7 +44,7 @@ class BaselinesArguments:
     # names of detectors, or package.module:Class
     detector: list[str] = field(default_factory=lambda: [name for name in DETECTORS if name != "recall"])
     scenario: Path | None = None  # YAML file whose world the episodes run in
-    encoder: Path = WEIGHTS / ENCODER  # autoencoder file
+    encoder: Path = WEIGHTS / ENCODER  # file of the encoder
     episodes: int = 20  # undisturbed validation episodes, as many as calibrate.py runs
     disturbed: int = 24  # validation episodes of each of A and B, as many as calibrate.py runs
     trials: int = 6  # validation episodes of each of none, A and B in closed loop, for each gamma and beta

@@ -28,7 +28,7 @@ def commands(text):
     """The commands of the ```sh blocks, a list of words each, without what connects them."""
     blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines() if line.strip()]
-    return [words for line in lines for part in line.split("&&") if (words := shlex.split(part, comments=True))]
+    return [words for line in lines for part in re.split("&&?|;", line) if (words := shlex.split(part, comments=True))]
 
 
 def program(words):

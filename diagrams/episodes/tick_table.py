@@ -14,7 +14,6 @@ CALLED = {
     ("systems/image_encoder.py", "Eval"): "rendering",
     ("systems/image_encoder.py", "encode"): "encoding",
     ("systems/recurrent_policy.py", "step"): "network",
-    ("systems/recurrent_policy.py", "recall"): "network",
 }
 # The last three: detector, mixing, regulator; physics, Drake's framework, the 3-D recording; scoring, record, words.
 PARTS = (*dict.fromkeys(CALLED.values()), CONTROLLER, PLANT, REST)

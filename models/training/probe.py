@@ -1,4 +1,4 @@
-"""How many millimetres the features localise the can to, on positions that the autoencoder did not see."""
+"""How many millimetres the features localise the can to, on positions that the encoder did not see."""
 
 import json
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class ProbeOptions:
 
     Args:
         data: data set of diagrams/teach.py (HDF5).
-        encoder: autoencoder file.
+        encoder: file of `training export`.
         ticks: first ticks of a demonstration that are read.
         json: also write the result to this file.
     """
