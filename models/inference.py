@@ -8,49 +8,58 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-from models.files.container import RETRAIN, WeightsError
-from models.files.graphs import Graph, read_graph
+from models.files.container import WeightsError
+from models.files.graphs import REMEDY, Graph, read_graph
 from models.files.policies import PolicyFacts, read_policy
 
-LARGEST_SIZE = 100_000  # of a vector that goes into a graph or comes out
+LARGEST_SIZE = 100_000  # of a vector that goes into a graph
 BATCH = 64  # pictures that are encoded at once
 IMAGE_SIZE = 112  # width and height of a picture, pixels
-_PICTURE = ("tensor(uint8)", IMAGE_SIZE, IMAGE_SIZE, 3)
+_PICTURE = (np.uint8, (IMAGE_SIZE, IMAGE_SIZE, 3))
+_VECTOR = (np.float32, (0,))
 
-Port = tuple[str | int, ...]  # type, then the sizes after the batch's; 0: any
+Port = tuple[type, tuple[int, ...]]  # type, and the sizes after the batch's; 0: any
 
 
 class _Session:
-    """A graph that runs: arrays in and out by the names of its inputs and outputs."""
+    """A graph that runs: arrays in and out by the names of its inputs and outputs.
 
-    def __init__(self, path: str | Path, graph: Graph, inputs: dict[str, Port], outputs: dict[str, Port]) -> None:
-        """Raises WeightsError unless the graph runs and has these inputs and outputs."""
+    Attributes:
+        shapes: of each input and output, without the batch's size.
+    """
+
+    def __init__(
+        self, path: str | Path, graph: Graph, inputs: dict[str, Port], outputs: dict[str, Port], batch: int = 1
+    ) -> None:
+        """Raises WeightsError unless the graph has these inputs and outputs, and runs, on zeros, for that batch."""
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.use_deterministic_compute = True
         options.log_severity_level = 4  # what is wrong is raised
+        self._outputs = list(outputs)
         try:
             self._session = onnxruntime.InferenceSession(graph.content, options, providers=["CPUExecutionProvider"])
+            given = {port.name: port.shape[1:] for port in self._session.get_inputs()}
+            made = [port.name for port in self._session.get_outputs()]
+            if (given.keys(), set(made)) != (inputs.keys(), outputs.keys()):
+                words = f"{', '.join(given)} -> {', '.join(made)}, where {', '.join(inputs)} -> {', '.join(outputs)}"
+                raise WeightsError(path, f"its graph computes {words} is needed", REMEDY)
+            if any(not isinstance(size, int) or size > LARGEST_SIZE for shape in given.values() for size in shape):
+                raise WeightsError(path, f"its inputs have the sizes {given}: fixed ones are needed", REMEDY)
+            found = {name: np.zeros((batch, *shape), inputs[name][0]) for name, shape in given.items()}
+            found |= zip(outputs, self(**found), strict=True)
+        except WeightsError:
+            raise
         except Exception as error:  # the runtime raises a class of its own for each thing that can be wrong
             words = " ".join(str(error).split())[:300]
-            raise WeightsError(path, f"its graph cannot be run ({words})", RETRAIN) from error
-        have = {port.name: (port.type, *port.shape) for port in self._session.get_inputs()}
-        have_out = {port.name: (port.type, *port.shape) for port in self._session.get_outputs()}
-        remedy = "models/README.md says what a graph computes"
-        if (have.keys(), have_out.keys()) != (inputs.keys(), outputs.keys()):
-            is_, should_be = (" -> ".join(map(", ".join, both)) for both in ((have, have_out), (inputs, outputs)))
-            raise WeightsError(path, f"its graph computes {is_}, where {should_be} is needed", remedy)
-        have |= have_out
-        for name, wanted in (inputs | outputs).items():
-            kind, batch, *sizes = have[name]
-            fits = (kind, len(sizes)) == (wanted[0], len(wanted) - 1) and (batch == 1 or not isinstance(batch, int))
-            for size, want in zip(sizes, wanted[1:], strict=False):
-                fits &= isinstance(size, int) and 1 <= size <= LARGEST_SIZE and want in (0, size)
-            if not fits:
-                shape = f"{wanted[0]} [1, {', '.join(str(n or 'n') for n in wanted[1:])}]"
-                raise WeightsError(path, f"its {name} is {kind} {[batch, *sizes]}, where {shape} is needed", remedy)
-        self.sizes = {name: tuple(port[2:]) for name, port in have.items()}
-        self._outputs = list(outputs)
+            raise WeightsError(path, f"its graph cannot be run ({words})", REMEDY) from error
+        self.shapes = {name: value.shape[1:] for name, value in found.items()}
+        for name, (kind, sizes) in (inputs | outputs).items():
+            shape, is_kind = self.shapes[name], found[name].dtype
+            fits = len(shape) == len(sizes) and all(want in (0, size) for want, size in zip(sizes, shape, strict=True))
+            if not fits or is_kind != kind:
+                needed = f"{np.dtype(kind)} ({', '.join(str(size or 'n') for size in sizes)})"
+                raise WeightsError(path, f"its {name} is {is_kind} {shape}, where {needed} is needed", REMEDY)
 
     def __call__(self, **inputs: np.ndarray) -> list[np.ndarray]:
         return self._session.run(self._outputs, inputs)
@@ -67,8 +76,8 @@ class Encoder:
     def __init__(self, path: str | Path) -> None:
         """Raises WeightsError unless `path` is an encoder's file."""
         graph = read_graph(path, "encoder")
-        self._session = _Session(path, graph, {"picture": _PICTURE}, {"features": ("tensor(float)", 0)})
-        self.hash, self.feature_size = graph.hash, self._session.sizes["features"][0]
+        self._session = _Session(path, graph, {"picture": _PICTURE}, {"features": _VECTOR}, batch=2)
+        self.hash, (self.feature_size,) = graph.hash, self._session.shapes["features"]
 
     def encode(self, rgb: np.ndarray) -> np.ndarray:
         """uint8 (112, 112, 3) to features, float64 (F,)."""
@@ -94,7 +103,7 @@ class Decoder:
     def __init__(self, path: str | Path) -> None:
         """Raises WeightsError unless `path` is a decoder's file."""
         graph = read_graph(path, "decoder")
-        self._session = _Session(path, graph, {"features": ("tensor(float)", 0)}, {"picture": _PICTURE})
+        self._session = _Session(path, graph, {"features": _VECTOR}, {"picture": _PICTURE})
 
     def decode(self, features: np.ndarray) -> np.ndarray:
         """Features (F,) to uint8 (112, 112, 3)."""
@@ -118,18 +127,20 @@ class Policy(PolicyFacts):
             remedy = f"Train them: `python -m models.training recall --policy {path}`"
             raise WeightsError(path, "is a candidate without recall heads", remedy)
         self.hash, self.posture_size = graph.hash, len(self.initial_posture)
-        number = "tensor(float)"
-        outputs: dict[str, Port] = {"y": (number, 0), "next_state": (number, 0)}
-        outputs["recalled"] = (number, 0, self.posture_size)
-        self._session = _Session(path, graph, {"x": (number, 0), "state": (number, 0)}, outputs)
-        sizes = self._session.sizes
-        if sizes["x"] != sizes["y"] or sizes["state"] != sizes["next_state"] or sizes["x"][0] <= self.posture_size:
-            wrong = (
-                f"its graph maps x {sizes['x']} and state {sizes['state']} to y {sizes['y']} and {sizes['next_state']}"
-            )
-            raise WeightsError(path, wrong, f"x and y have the {self.posture_size} of the posture, then the features")
-        self.feature_size, self.state_size = sizes["x"][0] - self.posture_size, sizes["state"][0]
-        self.horizon = sizes["recalled"][0]
+        outputs: dict[str, Port] = {
+            "y": _VECTOR,
+            "next_state": _VECTOR,
+            "recalled": (np.float32, (0, self.posture_size)),
+        }
+        self._session = _Session(path, graph, {"x": _VECTOR, "state": _VECTOR}, outputs)
+        shapes = self._session.shapes
+        (size,), (self.state_size,), (self.horizon, _) = (shapes[name] for name in ("x", "state", "recalled"))
+        self.feature_size = size - self.posture_size
+        if shapes["y"] != (size,) or shapes["next_state"] != (self.state_size,) or self.feature_size < 1:
+            raise WeightsError(path, f"its graph has the sizes {shapes}", "y is as long as x, next_state as state")
+        for name, errors in (("mean_errors", self.mean_errors), ("reference_errors", self.reference_errors)):
+            if errors is not None and errors.shape != (self.horizon + 1,):
+                raise WeightsError(path, f"its {name} have the shape {errors.shape}", f"{self.horizon + 1} are needed")
         self.initial_state = np.zeros(self.state_size)
 
     def step(self, x: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -28,8 +28,9 @@ def recall_errors(difference: np.ndarray, joints: int, reference_errors: np.ndar
 @functools.cache
 def _weights(joints: int, size: int) -> np.ndarray:
     """(size,) 1 / joints for each joint, 0 for the other components."""
-    weights = np.append(np.ones(joints), np.zeros(size - joints))
-    return weights / weights.sum()
+    weights = np.append(np.full(joints, 1.0 / joints), np.zeros(size - joints))
+    weights.flags.writeable = False
+    return weights
 
 
 @TemplateSystem.define("RecallDetector_", T_list=[float, AutoDiffXd])

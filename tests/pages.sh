@@ -41,9 +41,8 @@ s/--gamma 3 10 20 40 80 200/--gamma 3 20/
 /training cae/s/$/ --max-images 128/
 s/ --steps [0-9]+//
 /training rnn/s/$/ --steps 4 --checkpoint-every 2 --validate-every 4/
-s/training recall/& --steps 2 --checkpoint-every 1/g
-s/rnn-8000\.onnx/rnn-2.onnx/
-s/rnn-10000\.onnx/rnn-4.onnx/
+/training recall/s/$/ --steps 2 --checkpoint-every 1/
+s/8000 10000/2 4/
 s/rnn-(16000|24000)\.onnx/rnn-4.onnx/
 # Networks of a few updates finish no task: the calibration takes the shipped ones.
 /calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/encoder.onnx --episodes 2 --disturbed 2/

@@ -142,7 +142,7 @@ def test_ci_runs_the_test_command_of_the_front_page():
 
 
 def test_every_weight_file_has_its_card():
-    from models.files.weights import file_hash
+    from models.files.container import file_hash
 
     card = (ROOT / "models" / "weights" / "README.md").read_text()
     files = [path for path in (ROOT / "models" / "weights").iterdir() if path.suffix != ".md"]

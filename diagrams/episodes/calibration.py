@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,7 +50,8 @@ def policy_file(folder: Path, rnn: str, training_seed: int = 0) -> Path:
     """The file in `folder` of the network that `rnn` names; raises InputError where there is none."""
     path = folder / policy_name(network_label(rnn), training_seed)
     if not path.is_file():
-        there = sorted(found.stem for found in folder.glob("*.onnx") if found.name not in (ENCODER, DECODER))
+        files = (found for found in folder.glob("*.onnx") if found.name not in (ENCODER, DECODER))
+        there = sorted(found.stem for found in files if training_seed or not re.search(r"-\d+$", found.stem))
         remedy = f"choose from {', '.join(there)}, or train one" if there else "give another folder, or train one"
         raise InputError(f"there is no network '{path.stem}' in {folder}: {remedy} with `python -m models.training`")
     return path

@@ -25,7 +25,7 @@ def facts(world: World) -> dict[str, Any]:
 
 def require_trained_for(world: World, policy) -> None:
     """Raises InputError where `policy` (see models/inference.py) was trained in another world; names both values."""
-    trained = TRAINED_IN | getattr(policy, "metadata", {}).get("world", {})
+    trained: dict[str, Any] = TRAINED_IN | _numbers(getattr(policy, "metadata", {}).get("world", {}))
     trained |= {"initial posture": np.asarray(policy.initial_posture), "components": len(policy.initial_posture)}
     initial = world.initial_posture
     have = facts(world) | {"initial posture": initial, "components": len(initial)}
@@ -36,3 +36,11 @@ def require_trained_for(world: World, policy) -> None:
                 f"the world's {name.replace('_', ' ')} is {words[0]}, the network was trained with {words[1]}: "
                 "change the world, or train a network in it"
             )
+
+
+def _numbers(world: Any) -> dict[str, Any]:
+    """`world`, a weight file's; raises InputError unless its entries are numbers."""
+    try:
+        return {name: np.array(value, float).tolist() for name, value in world.items()}
+    except (AttributeError, TypeError, ValueError) as error:
+        raise InputError(f"the policy's metadata hold a world that is none, {world!r}: see facts() here") from error

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import hashlib
+from importlib.metadata import version
 from typing import Any
 
 from diagrams.world.configuration import World
@@ -10,16 +11,11 @@ from models.command_line import ROOT
 
 # What an episode's outcome depends on: the definitions of success among it.
 ROOMS: tuple[str, ...] = (
-    "sdf",
-    "models/inference.py",
-    "models/files",
-    "models/networks",
-    "models/data/scaling.py",
-    "systems",
-)
-ROOMS += ("models/data/windows.py", "diagrams/world", *(f"diagrams/episodes/{name}.py" for name in (
-    "calibration", "episode", "record", "rollout", "runner", "sampling", "switching",
-)))  # fmt: skip
+    "sdf", "systems", "diagrams/world", "models/inference.py", "models/files", "models/data/scaling.py",
+    "models/data/windows.py", *(f"diagrams/episodes/{name}.py" for name in (
+        "calibration", "episode", "record", "rollout", "runner", "sampling", "switching",
+    )),
+)  # fmt: skip
 
 
 @functools.cache
@@ -39,4 +35,5 @@ def fingerprint(world: World, *rooms: str, **more: Any) -> dict[str, Any]:
     for name, value in dataclasses.asdict(world).items():
         parts = {f".{part}": entry for part, entry in value.items()} if isinstance(value, dict) else {"": value}
         entries |= {f"world.{name}{part}": entry for part, entry in parts.items()}
-    return {"code": code_hash(*rooms)} | entries | more
+    versions = {name: version(name) for name in ("drake", "onnxruntime")}  # they decide the bits
+    return {"code": code_hash(*rooms)} | versions | entries | more

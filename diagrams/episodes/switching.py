@@ -9,9 +9,7 @@ after that tick. Undisturbed: as above.
 """
 
 from dataclasses import dataclass
-from typing import Literal, Self
-
-import numpy as np
+from typing import Literal
 
 from systems.dwell_time import GUARD
 
@@ -45,14 +43,6 @@ class Switching:
     _last_home: int | None = None
     _resumed_as_in_paper: bool = False
     _high: bool = False
-
-    @classmethod
-    def of(cls, alpha: np.ndarray, active: np.ndarray, at_home: np.ndarray, disturbed: bool, period: float) -> Self:
-        """Of a whole run: `alpha`, `active`, `at_home` (ticks,) arrays."""
-        switching = cls(disturbed, period)
-        for tick in zip(alpha.tolist(), active.tolist(), at_home.tolist(), strict=True):
-            switching.see(*tick)
-        return switching
 
     def see(self, alpha: float, active: bool, at_home: bool) -> None:
         """The next tick; `active`: the arm is disturbed, once a run in one stretch; `at_home`: see task.py."""

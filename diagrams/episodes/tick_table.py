@@ -20,7 +20,7 @@ PARTS = (*dict.fromkeys(CALLED.values()), CONTROLLER, PLANT, REST)
 
 
 def tick_times(profiler: cProfile.Profile, ticks: int) -> dict[str, float]:
-    """Seconds a tick that each of PARTS takes, of `ticks` ticks that a Rollout ran under `profiler`."""
+    """Seconds a tick that each of PARTS takes, of `ticks` that a Rollout ran, its start and end included."""
     stats = pstats.Stats(profiler).stats  # type: ignore[attr-defined]
 
     def part(function: Function, caller: Function, seen: tuple[Function, ...] = ()) -> str:

@@ -77,9 +77,11 @@ class NetworkArguments(Arguments):
 
     def closed_loop(self, kind: str = "none") -> tuple["Rollout", "Episode"]:
         """The closed loop, and the episode of `seed` under a disturbance of `kind`; raises InputError as both do."""
+        from diagrams.episodes.calibration import require_named
         from diagrams.episodes.rollout import Rollout
         from diagrams.episodes.sampling import EpisodeSampler
         from models.inference import Encoder, Policy
 
         rollout = Rollout(self.world(), Encoder(self.encoder_path), Policy(self.policy_path))
+        require_named(rollout.policy, self.rnn, self.policy_path)
         return rollout, EpisodeSampler(rollout.world).sample(self.seed, kind, rnn=rollout.policy.name)

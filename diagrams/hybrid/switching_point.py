@@ -51,7 +51,8 @@ class Linearize(Arguments):
 
         from diagrams.drawing.spectra import save_spectra
         from diagrams.episodes.sampling import EpisodeSampler
-        from models.files.weights import file_hash, load_policy
+        from models.files.container import file_hash
+        from models.files.weights import load_policy
         from models.inference import Encoder
 
         if self.vacant not in SPOTS:

@@ -253,19 +253,17 @@ class PickPlaceStation(Diagram):
         builder.ExportOutput(sensor.color_image_output_port(), port)
 
     def set_scene(self, context: Context, can_xy: np.ndarray, vacant: str, turn: float = 0.0) -> None:
-        """Puts one can on the desk, see `place_can`, and the other on the spot that is not `vacant`."""
-        self.place_can(context, can_xy, turn)
-        X_WC = RigidTransform(self.spot(other_spot(vacant)))
-        plant_context = self.plant.GetMyMutableContextFromRoot(context)
-        self.plant.SetFloatingBaseBodyPoseInWorldFrame(plant_context, can_body(self.plant, CANS[1]), X_WC)
-        self.approach_meter.set_place(self.approach_meter.GetMyMutableContextFromRoot(context), self.spot(vacant))
+        """Stands one can at rest on the desk, the other on the spot that is not `vacant`.
 
-    def place_can(self, context: Context, can_xy: np.ndarray, turn: float = 0.0) -> None:
-        """Stands the can to pick, at rest, on the desk at `can_xy` (2, m, world), its axis turned by `turn` (rad)."""
-        plant_context, body = self.plant.GetMyMutableContextFromRoot(context), can_body(self.plant, CANS[0])
+        `can_xy` (2, m, world): of the can to pick, whose axis is turned by `turn` (rad).
+        """
+        plant, (can, other) = self.plant, (can_body(self.plant, name) for name in CANS)
+        plant_context = plant.GetMyMutableContextFromRoot(context)
         X_WC = RigidTransform(RollPitchYaw(0, 0, turn), [*can_xy, CAN_HALF_HEIGHT])
-        self.plant.SetFloatingBaseBodyPoseInWorldFrame(plant_context, body, X_WC)
-        self.plant.SetFreeBodySpatialVelocity(context=plant_context, body=body, V_JpJc=SpatialVelocity(np.zeros(6)))
+        plant.SetFloatingBaseBodyPoseInWorldFrame(plant_context, can, X_WC)
+        plant.SetFreeBodySpatialVelocity(context=plant_context, body=can, V_JpJc=SpatialVelocity(np.zeros(6)))
+        plant.SetFloatingBaseBodyPoseInWorldFrame(plant_context, other, RigidTransform(self.spot(other_spot(vacant))))
+        self.approach_meter.set_place(self.approach_meter.GetMyMutableContextFromRoot(context), self.spot(vacant))
 
     def spot(self, name: str) -> np.ndarray:
         """See `spot_centre`."""

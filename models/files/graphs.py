@@ -1,7 +1,7 @@
 """The container of every network that runs: an ONNX graph with a JSON header, written in one go, checked when read.
 
-A file from anywhere can be read without fear: it holds no code, only operators of ONNX's standard set, each of which
-runs once, and everything it needs is inside, within bounds.
+A file from elsewhere holds no code and names no other file: only operators of ONNX's standard set, each of which runs
+once and draws no random number, and finite weights. What they make of memory and time, only running them shows.
 """
 
 import hashlib
@@ -12,12 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from models.files.container import FORMAT, RETRAIN, WeightsError, read_bytes, require_kind, write_bytes
+from models.files.container import FORMAT, WeightsError, read_bytes, require_kind, write_bytes
 from models.files.onnx_messages import parse_model
 
 LARGEST = 100_000_000  # bytes of a file; the encoder has 19 million, in float32 75
 HEADER = "header"  # the model's metadata entry that holds the JSON
-_FLOATS = {1: np.float32, 10: np.float16, 11: np.float64}  # of TensorProto.DataType
+REMEDY = "Take it from the repository again (git checkout), or make it as models/README.md says"
+# Of TensorProto.DataType: floating point numbers; whole numbers and booleans.
+_FLOATS, _WHOLE = {1: np.float32, 10: np.float16, 11: np.float64}, {2, 3, 4, 5, 6, 7, 9, 12, 13}
+_RANDOM = ("Random", "Bernoulli", "Multinomial")  # beginnings of the names of operators
 
 
 @dataclass(frozen=True)
@@ -46,59 +49,54 @@ def write_graph(path: str | Path, content: bytes, header: dict[str, Any]) -> Non
 
 def read_graph(path: str | Path, kind: str) -> Graph:
     """What write_graph wrote, or another tool; raises WeightsError unless it is a whole, harmless file of that kind."""
-    content, model = _read(path)
-    entries = {pair.key: pair.value for pair in model.metadata_props}
-    if HEADER not in entries:
-        raise WeightsError(path, f"has no metadata entry '{HEADER}'", "models/README.md says what belongs into it")
+    content = read_bytes(path, LARGEST)
     try:
+        model = parse_model(content)
+        _require_harmless(path, model)
+        entries = {pair.key: pair.value for pair in model.metadata_props}
+        if HEADER not in entries:
+            raise WeightsError(path, f"has no metadata entry '{HEADER}'", "models/README.md says what belongs into it")
         header = dict(json.loads(entries[HEADER]))
-    except (TypeError, ValueError) as error:
-        raise WeightsError(path, f"has a damaged header ({error})", RETRAIN) from error
+    except WeightsError:
+        raise
+    except (RecursionError, TypeError, ValueError) as error:
+        raise WeightsError(path, f"the weight file is damaged ({error})", REMEDY) from error
     require_kind(path, header, kind)
     return Graph(content, header)
 
 
-def read_weights(path: str | Path) -> dict[str, np.ndarray]:
-    """The floating point weights in the file, by name, as float32; raises WeightsError as read_graph."""
-    return {tensor.name: _values(tensor).astype(np.float32) for tensor in _read(path)[1].graph.initializer
-            if tensor.data_type in _FLOATS}  # fmt: skip
-
-
-def _read(path: str | Path) -> tuple[bytes, Any]:
-    content = read_bytes(path, LARGEST)
-    try:
-        model = parse_model(content)
-        wrong = None if model.graph.node else "it holds no graph"
-    except ValueError as error:
-        wrong = str(error)
-    if wrong is not None:
-        raise WeightsError(path, f"the weight file is damaged ({wrong})", RETRAIN)
-    _require_harmless(path, model)
-    if not all(np.isfinite(_values(tensor)).all() for tensor in _tensors(model) if tensor.data_type in _FLOATS):
-        raise WeightsError(path, "holds weights that are not finite", RETRAIN)
-    return content, model
-
-
-def _tensors(model: Any) -> list[Any]:
-    attributes = [attribute for node in model.graph.node for attribute in node.attribute]
-    inside = [tensor for attribute in attributes for tensor in (attribute.t, *attribute.tensors)]
-    return [*model.graph.initializer, *inside]
+def weights_of(graph: Graph) -> dict[str, np.ndarray]:
+    """The floating point weights in a graph that read_graph gave, by name, as float32."""
+    tensors = parse_model(graph.content).graph.initializer
+    return {t.name: _values(t).astype(np.float32).reshape(t.dims) for t in tensors if t.data_type in _FLOATS}
 
 
 def _values(tensor: Any) -> np.ndarray:
-    """Of a floating point tensor, in its own precision."""
-    kind = _FLOATS[tensor.data_type]
-    values = np.frombuffer(tensor.raw_data, kind) if tensor.raw_data else np.array(
-        tensor.float_data or tensor.double_data, kind)  # fmt: skip
-    return values.reshape(tensor.dims) if values.size == np.prod(tensor.dims, dtype=int) else values
+    """Of a floating point tensor, flat, in its own precision; raises ValueError where its shape asks for others."""
+    kind, listed = _FLOATS[tensor.data_type], tensor.float_data or tensor.double_data
+    values = np.array(listed, kind) if listed else np.frombuffer(tensor.raw_data, kind)
+    if values.size != np.prod(tensor.dims, dtype=int):
+        raise ValueError(f"{tensor.name} has {values.size} numbers for the shape {list(tensor.dims)}")
+    return values
 
 
 def _require_harmless(path: str | Path, model: Any) -> None:
-    nodes = model.graph.node
-    remedy = "Export it with operators of ONNX's standard set alone, everything in one file"
-    if foreign := sorted({node.domain for node in nodes} - {"", "ai.onnx"}):
-        raise WeightsError(path, f"needs operators of {', '.join(foreign)}", remedy)
-    if model.functions or any(a.HasField("g") or a.graphs for node in nodes for a in node.attribute):
-        raise WeightsError(path, "holds functions, branches or loops", remedy)
-    if any(tensor.data_location or tensor.external_data for tensor in _tensors(model)):
-        raise WeightsError(path, "keeps weights in another file", remedy)
+    nodes, attributes = model.graph.node, [a for node in model.graph.node for a in node.attribute]
+    tensors = [*model.graph.initializer, *(t for a in attributes for t in ([a.t] if a.HasField("t") else a.tensors))]
+    sparse = model.graph.sparse_initializer or any(a.sparse_tensor or a.sparse_tensors for a in attributes)
+    foreign = sorted({node.domain for node in nodes} - {"", "ai.onnx"})
+    training = [node.op_type for node in nodes if node.op_type == "Dropout" and len(node.input) > 2]
+    chance = training + [node.op_type for node in nodes if node.op_type.startswith(_RANDOM)]
+    for found, wrong in (
+        (not nodes, "holds no graph"),
+        (foreign, f"needs operators of {', '.join(foreign)}"),
+        (chance, f"draws random numbers ({', '.join(chance)})"),
+        (model.functions or any(a.HasField("g") or a.graphs for a in attributes), "holds functions, branches or loops"),
+        (any(t.data_location or t.external_data for t in tensors), "keeps weights in another file"),
+        (sparse or any(t.data_type not in _WHOLE | _FLOATS.keys() for t in tensors), "holds weights of a strange type"),
+    ):
+        if found:
+            remedy = "Export it with operators of ONNX's standard set alone, everything in one file"
+            raise WeightsError(path, wrong, remedy)
+    if not all(np.isfinite(_values(tensor)).all() for tensor in tensors if tensor.data_type in _FLOATS):
+        raise WeightsError(path, "holds weights that are not finite", REMEDY)

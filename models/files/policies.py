@@ -7,8 +7,8 @@ from typing import Any, Self
 import numpy as np
 
 from models.data.scaling import MinMaxScaling
-from models.files.container import RETRAIN, WeightsError
-from models.files.graphs import Graph, read_graph, write_graph
+from models.files.container import WeightsError
+from models.files.graphs import REMEDY, Graph, read_graph, write_graph
 
 
 @dataclass(kw_only=True)
@@ -21,7 +21,7 @@ class PolicyFacts:
         scaling: bounds of the posture (M,).
         initial_posture: (M,).
         regulator_gain: K per tick, the same for each joint.
-        encoder_hash: hash of the encoder's file whose features it was trained on.
+        encoder_hash: hash of the file of the encoder that it goes with.
         mean_errors: (N+1,) mean l_n of normal runs; reference_errors: (N+1,) what l_n is divided by.
         beta, gamma: of the detector's sigmoid.
         torch: what the torch modules are built from again; None where torch did not make them.
@@ -44,19 +44,22 @@ class PolicyFacts:
     def of_header(cls, path: str | Path, header: dict[str, Any]) -> Self:
         """From the header of the file `path`; raises WeightsError where it describes no policy."""
         known = {entry.name for entry in fields(PolicyFacts)} - {"scaling"}
+        found = {name: value for name, value in header.items() if name in known}
         try:
-            found = {name: value for name, value in header.items() if name in known}
-            for name in ("initial_posture", "mean_errors", "reference_errors"):
-                if found.get(name) is not None:
-                    found[name] = np.array(found[name], float)
+            for name in ("initial_posture", "mean_errors", "reference_errors", "regulator_gain", "beta", "gamma"):
+                if name in found and (found[name] is not None or name in ("initial_posture", "regulator_gain")):
+                    number = np.array(found[name], float)
+                    if not np.isfinite(number).all():
+                        raise ValueError(f"{name} is {found[name]}")
+                    found[name] = number if name.endswith(("posture", "errors")) else float(number)
             facts = cls(scaling=MinMaxScaling(header["lower"], header["upper"]), **found)
             if facts.initial_posture.shape != facts.scaling.lower.shape:
                 raise ValueError(f"initial_posture has the shape {facts.initial_posture.shape}")
-            if not isinstance(facts.name, str) or not isinstance(facts.metadata, dict):
-                raise ValueError("its name is no text, or its metadata no dictionary")
-            facts.regulator_gain = float(facts.regulator_gain)
+            for name, kind in (("name", str), ("encoder_hash", str), ("metadata", dict), ("torch", dict | None)):
+                if not isinstance(getattr(facts, name), kind):
+                    raise ValueError(f"{name} is {getattr(facts, name)!r}")
         except (KeyError, TypeError, ValueError) as error:
-            raise WeightsError(path, f"its header does not describe a policy ({error})", RETRAIN) from error
+            raise WeightsError(path, f"its header does not describe a policy ({error})", REMEDY) from error
         return facts
 
     def header(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The torch side of the weight files: what trainings write, and go on from."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,7 @@ from torch import Tensor, nn
 
 from models.errors import InputError
 from models.files.container import RETRAIN, WeightsError
-from models.files.container import file_hash as file_hash
-from models.files.graphs import read_weights
+from models.files.graphs import weights_of
 from models.files.policies import PolicyFacts, read_policy, write_policy
 from models.files.tensors import read_tensors, write_tensors
 from models.networks.cae import ConvolutionalAutoencoder
@@ -67,7 +66,7 @@ def save_policy(path: str | Path, policy: StoredPolicy) -> None:
 
 def load_policy(path: str | Path) -> StoredPolicy:
     """Reads what save_policy wrote; networks in eval mode. Raises WeightsError for a graph that torch did not make."""
-    facts, _ = read_policy(path)
+    facts, graph = read_policy(path)
     if (given := facts.torch) is None:
         raise WeightsError(path, "was not made by torch here", "Give a file that `python -m models.training` wrote")
     try:
@@ -78,12 +77,11 @@ def load_policy(path: str | Path) -> StoredPolicy:
         raise WeightsError(path, f"its network cannot be built ({error})", "Install what defines it") from error
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(path, f"its header does not describe a policy ({error})", RETRAIN) from error
-    weights = {name: torch.from_numpy(value) for name, value in read_weights(path).items()}
+    weights = {name: torch.from_numpy(value) for name, value in weights_of(graph).items()}
     for part, module in (("rnn.", rnn), ("recall.", recall)):
         if module is not None:
             _fill(path, module.eval(), {name[len(part) :]: w for name, w in weights.items() if name.startswith(part)})
-    own = {entry.name: getattr(facts, entry.name) for entry in fields(PolicyFacts)}
-    return StoredPolicy(rnn=rnn, recall=recall, **own)
+    return StoredPolicy(rnn=rnn, recall=recall, **vars(facts))
 
 
 def _fill(path: str | Path, module: nn.Module, state: dict[str, Tensor]) -> None:

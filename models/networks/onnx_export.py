@@ -37,10 +37,10 @@ class _Encoder(nn.Module):
     def __init__(self, model: ConvolutionalAutoencoder) -> None:
         super().__init__()
         layers: Any = model.encoder
-        names = (("conv0", fuse_conv_bn_eval), ("conv1", fuse_conv_bn_eval), ("conv2", fuse_conv_bn_eval))
         self.convolutions = nn.Sequential()
-        for name, fuse in names:
-            self.convolutions.append(fuse(getattr(layers, name), getattr(layers, f"{name}_norm"))).append(nn.ReLU())
+        for name in ("conv0", "conv1", "conv2"):
+            fused = fuse_conv_bn_eval(getattr(layers, name), getattr(layers, f"{name}_norm"))
+            self.convolutions.append(fused).append(nn.ReLU())
         self.full = fuse_linear_bn_eval(layers.full, layers.full_norm)
         self.feature = fuse_linear_bn_eval(layers.feature, layers.feature_norm)
         self.activation = layers.feature_activation
@@ -68,7 +68,11 @@ def policy_graph(rnn: RecurrentNetwork, recall: RecallHeads | None) -> bytes:
     """
     inputs = {"x": torch.zeros(1, rnn.input_size), "state": torch.zeros(1, rnn.state_size)}
     outputs = ["y", "next_state"] + ([] if recall is None else ["recalled"])
-    model = _export(_Tick(copy.deepcopy(rnn), copy.deepcopy(recall)), inputs, outputs)
+    try:
+        model = _export(_Tick(copy.deepcopy(rnn), copy.deepcopy(recall)), inputs, outputs)
+    except torch.onnx.OnnxExporterError as error:
+        words = " ".join(str(error).split())[:300]
+        raise InputError(f"the network {rnn.name} cannot be exported as a graph ({words}): see `step`") from error
     parts = {"rnn": rnn} | ({} if recall is None else {"recall": recall})
     wanted = {f"{part}.{name}" for part, module in parts.items() for name in module.state_dict()}
     if lost := sorted(wanted - {tensor.name for tensor in model.graph.initializer}):

@@ -1,9 +1,9 @@
 """From the trained autoencoder to the graphs that run: the encoder in 8 bits, and the decoder."""
 
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import onnx
@@ -20,7 +20,9 @@ from models.networks.onnx_export import decoder_graph, encoder_graph, halved
 
 @dataclass(kw_only=True)
 class ExportOptions:
-    """Writes encoder.onnx and decoder.onnx: weights and activations in 8 bits, their ranges from training pictures.
+    """Writes encoder.onnx, all but its last layer in 8 bits, and decoder.onnx, its full layers in 8 bits.
+
+    The ranges of the activations come from training pictures.
 
     What the recurrent networks are trained on is what this encoder gives. (Their own files are graphs from the start.)
 
@@ -37,17 +39,6 @@ class ExportOptions:
     pictures: int = 400
 
 
-class _Feeds:
-    """What the quantiser asks for: one input after the other. (CalibrationDataReader's face.)"""
-
-    def __init__(self, feeds: Iterator[dict[str, np.ndarray]]) -> None:
-        self._feeds = feeds
-
-    def get_next(self) -> dict[str, np.ndarray] | None:
-        """The next input by its name; None after the last one."""
-        return next(self._feeds, None)
-
-
 def quantised(
     model: onnx.ModelProto, inputs: np.ndarray, operators: list[str], but: list[str] | None = None
 ) -> onnx.ModelProto:
@@ -59,12 +50,13 @@ def quantised(
     from onnxruntime.quantization.shape_inference import quant_pre_process
 
     name = model.graph.input[0].name
+    feeds = ({name: row[None]} for row in tqdm(inputs, desc=f"ranges of {name}", disable=None))
     with tempfile.TemporaryDirectory() as folder:
         given, whole, small = (Path(folder, f"{name}.onnx") for name in ("given", "float", "int8"))
         onnx.save(model, given)
         quant_pre_process(given, whole, skip_optimization=True, skip_symbolic_shape=True)
         quantize_static(
-            whole, small, _Feeds({name: row[None]} for row in tqdm(inputs, desc=f"ranges of {name}", disable=None)),
+            whole, small, SimpleNamespace(get_next=lambda: next(feeds, None)),
             quant_format=QuantFormat.QDQ, activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
             per_channel=True, op_types_to_quantize=operators, nodes_to_exclude=but,
         )  # fmt: skip
@@ -94,6 +86,6 @@ def export(options: ExportOptions) -> None:
     encoder = quantised(encoder, pictures, ["Conv", "Gemm"], features_layer)
     write_graph(paths[0], encoder.SerializeToString(), {"kind": "encoder"} | header)
     features = Encoder(paths[0]).encode_batch(pictures).astype(np.float32)
-    decoder = halved(quantised(decoder_graph(model), features, ["Gemm"]))  # a picture is for people: 8 bits are few
+    decoder = halved(quantised(decoder_graph(model), features, ["Gemm"]))  # for the file's size
     write_graph(paths[1], decoder.SerializeToString(), {"kind": "decoder"} | header)
     print(f"written: {', '.join(map(str, paths))}")

@@ -85,7 +85,7 @@ def test_the_world_is_that_of_the_scenario(tmp_path, weights):
     asked = ["states", "--weights", weights, "--scenario", str(tmp_path / "s.yaml"), "--out", str(tmp_path)]
     assert main(parse(asked)) == 0
     periods = {s["owner"]: s["period"] for s in json.loads((tmp_path / "states.json").read_text())["states"]}
-    assert periods["station/plant"] == pytest.approx(0.005)
+    assert periods["station/plant"] == 0.00625
 
 
 def test_modes_runs_an_episode_where_there_is_no_record(tmp_path, weights, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 from diagrams import pick_place, sweep
 from diagrams.episodes.record import load_record
 from diagrams.world.configuration import World
-from models.files.weights import file_hash
+from models.files.container import file_hash
 from tests.diagrams.untrained import save_untrained
 from tests.models import handmade
 

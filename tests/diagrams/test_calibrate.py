@@ -11,7 +11,8 @@ from diagrams.calibrate import CalibrateArguments
 from diagrams.episodes import validation
 from diagrams.episodes.sampling import SEED_BASE
 from models.errors import InputError
-from models.files.weights import WeightsError, load_policy
+from models.files.container import WeightsError
+from models.files.weights import load_policy
 from systems.detector import NEVER
 from tests.diagrams.episode_fakes import outcome, record
 from tests.diagrams.untrained import save_untrained

@@ -13,7 +13,7 @@ from diagrams.episodes.record import save_record
 from diagrams.figures import FiguresArguments
 from diagrams.sweeps.table import write_table
 from models.errors import InputError
-from models.files.weights import file_hash
+from models.files.container import file_hash
 from tests.diagrams.recorded_run import recorded_run
 from tests.diagrams.sweep_fakes import make_task, outcome_row
 from tests.diagrams.untrained import save_untrained

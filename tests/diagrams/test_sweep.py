@@ -23,7 +23,7 @@ from diagrams.sweeps.plan import SweepArguments
 from diagrams.sweeps.table import SCHEMA
 from models.command_line import ROOT
 from models.errors import InputError
-from models.files.weights import WeightsError
+from models.files.container import WeightsError
 from tests.diagrams import sweep_fakes
 from tests.diagrams.untrained import save_untrained
 

@@ -10,16 +10,21 @@ import pytest
 from models.command_line import ROOT
 from tests.diagrams.untrained import save_untrained
 
-HIDDEN = ("torch", "onnx", "onnxscript", "h5py")
+TRAINING = ("torch", "onnx", "onnxscript", "h5py")
+HIDDEN = {"training": TRAINING, "all": (*TRAINING, "pandas", "pyarrow", "scipy", "sklearn", "dask", "optuna")}
 
 
 @pytest.fixture(scope="module")
 def surroundings(tmp_path_factory):
-    """An environment in which the import of anything in HIDDEN fails, in every process."""
-    folder = tmp_path_factory.mktemp("hidden")
-    for name in HIDDEN:
-        (folder / f"{name}.py").write_text(f'raise ModuleNotFoundError("No module named {name!r}", name="{name}")\n')
-    return os.environ | {"PYTHONPATH": f"{folder}:{ROOT}", "OMP_NUM_THREADS": "1"}
+    """By the names in HIDDEN, environments in which the import of what they name fails, in every process."""
+    found = {}
+    for key, names in HIDDEN.items():
+        folder = tmp_path_factory.mktemp(key)
+        for name in names:
+            text = f'raise ModuleNotFoundError("No module named {name!r}", name="{name}")\n'
+            (folder / f"{name}.py").write_text(text)
+        found[key] = os.environ | {"PYTHONPATH": f"{folder}:{ROOT}", "OMP_NUM_THREADS": "1"}
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +40,14 @@ def start(folder, surroundings, *words):
 
 
 def test_they_are_hidden(tmp_path, surroundings):
-    for name in HIDDEN:
-        assert f"No module named '{name}'" in start(tmp_path, surroundings, "-c", f"import {name}").stderr
+    for name in HIDDEN["all"]:
+        assert f"No module named '{name}'" in start(tmp_path, surroundings["all"], "-c", f"import {name}").stderr
 
 
 def test_the_main_job_runs(tmp_path, surroundings, weights):
     done = start(
-        tmp_path, surroundings, ROOT / "diagrams" / "pick_place.py", "--weights", weights, "--disturbance", "none",
-        "--json", "o.json",
+        tmp_path, surroundings["all"], ROOT / "diagrams" / "pick_place.py", "--weights", weights,
+        "--disturbance", "none", "--json", "o.json",
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (1, "")  # an untrained network picks nothing
     assert json.loads((tmp_path / "o.json").read_text())["failure"] == "false switch"
@@ -55,13 +60,13 @@ def test_the_shipped_networks_load(tmp_path, surroundings):
         "Encoder(WEIGHTS / 'encoder.onnx'); Decoder(WEIGHTS / 'decoder.onnx'); Policy(WEIGHTS / 'mtrnn-2.onnx')\n"
         "load_detector(WEIGHTS / 'knn.safetensors', 'knn')"
     )
-    done = start(tmp_path, surroundings, "-c", code)
+    done = start(tmp_path, surroundings["all"], "-c", code)
     assert done.returncode == 0, done.stderr
 
 
 def test_a_sweep_runs_in_its_workers(tmp_path, surroundings, weights):
     done = start(
-        tmp_path, surroundings, ROOT / "diagrams" / "sweep.py", "--weights", weights, "--episodes", "1",
+        tmp_path, surroundings["training"], ROOT / "diagrams" / "sweep.py", "--weights", weights, "--episodes", "1",
         "--workers", "2", "--until", "switching", "--disturbance", "A", "none",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -69,9 +74,14 @@ def test_a_sweep_runs_in_its_workers(tmp_path, surroundings, weights):
 
 def test_what_needs_torch_says_which_extra_brings_it(tmp_path, surroundings, weights):
     done = start(
-        tmp_path, surroundings, ROOT / "diagrams" / "analysis.py", "linearize", "--policies", weights / "lstm.onnx"
+        tmp_path,
+        surroundings["training"],
+        ROOT / "diagrams" / "analysis.py",
+        "linearize",
+        "--policies",
+        weights / "lstm.onnx",
     )
     assert (done.returncode, done.stderr) == (2, "error: this needs torch: pip install -e '.[train]'\n")
-    done = start(tmp_path, surroundings, "-m", "models.training", "cae", "--data", "d.h5", "--out", "out")
+    done = start(tmp_path, surroundings["training"], "-m", "models.training", "cae", "--data", "d.h5", "--out", "out")
     assert done.returncode == 2
     assert done.stderr.endswith("pip install -e '.[train]'\n")

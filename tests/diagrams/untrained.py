@@ -9,8 +9,9 @@ import torch
 
 from diagrams.world.configuration import World
 from models.data.scaling import MinMaxScaling
+from models.files.container import file_hash
 from models.files.graphs import write_graph
-from models.files.weights import StoredPolicy, file_hash, save_policy
+from models.files.weights import StoredPolicy, save_policy
 from models.networks.recall import RecallHeads
 from models.networks.rnn import make_rnn
 from tests.models import handmade

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from models.data.demonstrations import iterate_frames
-from models.files.container import WeightsError
+from models.files.container import WeightsError, file_hash
 from models.files.graphs import write_graph
-from models.files.weights import file_hash, load_autoencoder, load_policy, save_policy
+from models.files.weights import load_autoencoder, load_policy, save_policy
 from models.inference import Decoder, Encoder, Policy
 from models.networks.cae import to_image
 from models.networks.onnx_export import decoder_graph, encoder_graph
@@ -154,12 +154,13 @@ def test_policy_s_attributes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"posture": 7}, r"its recalled is tensor\(float\) \[1, 2, 7\], where tensor\(float\) \[1, n, 8\] is needed"),
-        ({"features": 200_000}, r"its x is .*200008.*is needed"),
+        ({"posture": 7}, r"its recalled is float32 \(2, 7\), where float32 \(n, 8\) is needed"),
+        ({"features": 200_000}, r"its inputs have the sizes .*200008.*: fixed ones are needed"),
+        ({"horizon": 3}, r"its mean_errors have the shape \(3,\).*4 are needed"),
     ],
 )
 def test_a_policy_of_other_sizes_is_refused(tmp_path, change, named):
-    header = make_policy().header()
+    header = make_policy().header() | {"mean_errors": [1.0] * 3}
     write_graph(tmp_path / "p.onnx", handmade.policy(None, **change).SerializeToString(), header)
     with pytest.raises(WeightsError, match=named):
         Policy(tmp_path / "p.onnx")
@@ -175,6 +176,15 @@ def test_a_graph_of_another_kind_or_type_is_refused(tmp_path):
         Encoder(tmp_path / "x.onnx")
     with pytest.raises(WeightsError, match="picture -> features, where features -> picture"):
         Decoder(tmp_path / "x.onnx")
+
+
+def test_an_encoder_of_one_picture_at_a_time_is_refused(tmp_path):
+    single = handmade.encoder()
+    for port in (*single.graph.input, *single.graph.output):
+        port.type.tensor_type.shape.dim[0].dim_value = 1
+    write_graph(tmp_path / "x.onnx", single.SerializeToString(), {"kind": "encoder"})
+    with pytest.raises(WeightsError, match=r"x\.onnx: its graph cannot be run .*Got: 2 Expected: 1"):
+        Encoder(tmp_path / "x.onnx")
 
 
 def test_a_graph_that_cannot_run_is_refused(tmp_path):

@@ -15,6 +15,14 @@ PERIOD = 0.1
 TICKS = 260
 
 
+def switching_of(alpha, active, at_home, disturbed, period):
+    """Of a whole run: `alpha`, `active`, `at_home` (ticks,) arrays."""
+    switching = Switching(disturbed, period)
+    for tick in zip(alpha.tolist(), active.tolist(), at_home.tolist(), strict=True):
+        switching.see(*tick)
+    return switching
+
+
 def run(onset=50, end=68, high=(52, 121), home=100, disturbed=True, false_alarm=None):
     """Switching of a run: disturbed in [onset, end), alpha 1 in `high`, else 0.02, at home from `home` on."""
     ticks = np.arange(TICKS)
@@ -23,7 +31,7 @@ def run(onset=50, end=68, high=(52, 121), home=100, disturbed=True, false_alarm=
     if false_alarm is not None:
         alpha[false_alarm] = 0.5
     at_home = ticks >= home if home is not None else np.zeros(TICKS, bool)
-    return Switching.of(alpha, active, at_home, disturbed, PERIOD)
+    return switching_of(alpha, active, at_home, disturbed, PERIOD)
 
 
 def test_as_it_should():
@@ -108,7 +116,7 @@ def test_what_is_decided_stays_so(data):
         active[:] = False
 
     def cut(n, tail_alpha=(), tail_home=()):
-        return Switching.of(
+        return switching_of(
             np.append(alpha[:n], tail_alpha), np.append(active[:n], np.zeros(len(tail_alpha), bool)),
             np.append(at_home[:n], np.array(tail_home, bool)), disturbed, PERIOD,
         )  # fmt: skip
@@ -134,7 +142,7 @@ def test_detected_at_nine_tenths_only():
     for level, failure in ((0.89, "not detected"), (0.9, None)):
         alpha = np.where((ticks >= 52) & (ticks < 121), level, 0.0)
         active = (ticks >= 50) & (ticks < 68)
-        assert Switching.of(alpha, active, ticks >= 100, True, PERIOD).failure == failure
+        assert switching_of(alpha, active, ticks >= 100, True, PERIOD).failure == failure
 
 
 def test_resumed_at_one_tenth_only():
@@ -142,14 +150,14 @@ def test_resumed_at_one_tenth_only():
     active = (ticks >= 50) & (ticks < 68)
     for level, failure in ((0.11, "not resumed"), (0.1, None)):
         alpha = np.where(ticks < 52, 0.0, np.where(ticks < 121, 1.0, level))
-        assert Switching.of(alpha, active, ticks >= 100, True, PERIOD).failure == failure
+        assert switching_of(alpha, active, ticks >= 100, True, PERIOD).failure == failure
 
 
 def test_false_switches_are_counted_once_each():
     alpha = np.zeros(TICKS)
     alpha[10:14] = alpha[20] = 0.7
     nothing = np.zeros(TICKS, bool)
-    switching = Switching.of(alpha, nothing, nothing, False, PERIOD)
+    switching = switching_of(alpha, nothing, nothing, False, PERIOD)
     assert (switching.false_switches, switching.alpha_max_before) == (2, 0.7)
 
 
@@ -158,7 +166,7 @@ def test_alpha_before_the_onset_is_reported():
     alpha[49], alpha[50:] = 0.4, 1.0
     active = np.zeros(TICKS, bool)
     active[50:60] = True
-    assert Switching.of(alpha, active, active, True, PERIOD).alpha_max_before == 0.4
+    assert switching_of(alpha, active, active, True, PERIOD).alpha_max_before == 0.4
 
 
 def test_time_disturbed_without_recovery_is_the_disturbance():

@@ -7,7 +7,7 @@ import pytest
 from diagrams.sweeps.plan import SweepArguments, plan
 from diagrams.world.configuration import World
 from models.errors import InputError
-from models.files.weights import WeightsError, file_hash
+from models.files.container import WeightsError, file_hash
 from tests.diagrams.untrained import save_untrained
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from diagrams.sweeps import task as task_module
 from diagrams.sweeps.task import error_row, run_task
-from models.files.weights import file_hash
+from models.files.container import file_hash
 from tests.diagrams.sweep_fakes import make_task
 from tests.diagrams.untrained import save_untrained
 

@@ -208,10 +208,22 @@ def test_no_update_of_1000_sees_the_posture_a_step_late(world):
 
 
 def test_a_step_that_is_not_exact_in_binary_is_late_and_is_refused():
-    timing = Timing(time_step=0.01)
-    late = late_ticks(0.01, 100)
-    assert late > 10
-    assert late == timing.ticks_beside_a_step(99)
+    beside = [k for k in range(1, 100) if k * 0.1 != 10 * k * 0.01]
+    assert late_ticks(0.01, 100) == len(beside) > 10
+    with pytest.raises(InputError, match=r"time_step 0\.01 s: .* choose 0\.0125"):
+        World(timing=Timing(time_step=0.01)).check()
+
+
+def test_defaults_of_a_model_are_not_passed_over(monkeypatch, tmp_path):
+    text = (ROOT / "sdf" / "pick_place.dmd.yaml").read_text()
+    (tmp_path / "sdf").mkdir()
+    given = "    name: arm\n    default_joint_positions:\n        joint_1: [0.5]\n"
+    assert "    name: arm\n" in text
+    (tmp_path / "sdf" / "pick_place.dmd.yaml").write_text(text.replace("    name: arm\n", given, 1))
+    (tmp_path / "sdf" / "package.xml").write_text((ROOT / "sdf" / "package.xml").read_text())
+    monkeypatch.setattr("diagrams.world.station.ROOT", tmp_path)
+    with pytest.raises(InputError, match="gives a model defaults"):
+        arm_plant()
 
 
 def test_servo_gains_are_really_set(station):

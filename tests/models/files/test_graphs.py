@@ -9,7 +9,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from models.files import graphs
 from models.files.container import WeightsError
-from models.files.graphs import read_graph, read_weights, write_graph
+from models.files.graphs import read_graph, weights_of, write_graph
 from tests.models import handmade
 
 
@@ -44,7 +44,7 @@ def test_weights_by_their_names(tmp_path):
     def change(model):
         model.graph.initializer.extend([numpy_helper.from_array(matrix, "half"), listed])
 
-    found = read_weights(saved(tmp_path, change))
+    found = weights_of(read_graph(saved(tmp_path, change), "encoder"))
     assert set(found) == {"matrix", "half", "listed"}  # no shapes, which are integers
     assert {array.dtype for array in found.values()} == {np.dtype(np.float32)}
     np.testing.assert_array_equal(found["half"], matrix)
@@ -81,9 +81,47 @@ def constant_not_finite(model):
     model.graph.node.append(helper.make_node("Constant", [], ["c"], value=value))
 
 
+def random(model):
+    model.graph.node.append(helper.make_node("RandomNormalLike", ["x"], ["y"]))
+
+
+def dropout_in_training(model):
+    model.graph.node.append(helper.make_node("Dropout", ["x", "ratio", "training"], ["y"]))
+
+
+def sparse(model):
+    values = numpy_helper.from_array(np.ones(1, np.float32), "sparse")
+    indices = numpy_helper.from_array(np.zeros(1, np.int64), "indices")
+    model.graph.sparse_initializer.append(helper.make_sparse_tensor(values, indices, [3]))
+
+
+def hidden_float16(model):
+    """NaN as whole numbers."""
+    model.graph.initializer.append(TensorProto(name="x", dims=[1], data_type=TensorProto.FLOAT16, int32_data=[0x7E00]))
+
+
+def bfloat16(model):
+    model.graph.initializer.append(TensorProto(name="x", dims=[1], data_type=TensorProto.BFLOAT16, raw_data=b"\0\0"))
+
+
+def fewer_numbers_than_its_shape(model):
+    model.graph.initializer[0].raw_data = model.graph.initializer[0].raw_data[:5]
+
+
+def negative_shape(model):
+    model.graph.initializer[0].dims[:] = [-1, -1]
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
+        (random, r"draws random numbers \(RandomNormalLike\)"),
+        (dropout_in_training, r"draws random numbers \(Dropout\)"),
+        (sparse, "strange type"),
+        (bfloat16, "strange type"),
+        (hidden_float16, "damaged .*x has 0 numbers"),
+        (fewer_numbers_than_its_shape, "damaged"),
+        (negative_shape, "damaged .*matrix has 4410 numbers"),
         (custom, "needs operators of com.microsoft"),
         (branch, "holds functions, branches or loops"),
         (function, "holds functions, branches or loops"),
@@ -114,7 +152,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path, monkeypatch):
 def test_damaged_file(tmp_path, keep):
     path = saved(tmp_path)
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(WeightsError, match=r"x\.onnx: .*(damaged|no metadata entry)"):
+    with pytest.raises(WeightsError, match=r"x\.onnx: .*(damaged|no metadata entry|no graph)"):
         read_graph(path, "encoder")
 
 
@@ -123,11 +161,12 @@ def test_header_that_is_absent_damaged_or_of_another_kind(tmp_path):
     with pytest.raises(WeightsError, match=r"no metadata entry 'header'.*README"):
         read_graph(tmp_path / "y.onnx", "encoder")
     onnx.save(handmade.policy("{3"), tmp_path / "y.onnx")
-    with pytest.raises(WeightsError, match="damaged header"):
+    with pytest.raises(WeightsError, match="damaged"):
         read_graph(tmp_path / "y.onnx", "policy")
-    onnx.save(handmade.policy("3"), tmp_path / "y.onnx")
-    with pytest.raises(WeightsError, match="damaged header"):
-        read_graph(tmp_path / "y.onnx", "policy")
+    for header in ("3", "[" * 100_000):
+        onnx.save(handmade.policy(header), tmp_path / "y.onnx")
+        with pytest.raises(WeightsError, match=r"y\.onnx: the weight file is damaged"):
+            read_graph(tmp_path / "y.onnx", "policy")
     with pytest.raises(WeightsError, match=r"kind 'decoder', format 1, where kind 'encoder'"):
         read_graph(saved(tmp_path, header={"kind": "decoder", "format": 1}), "encoder")
     with pytest.raises(WeightsError, match=r"kind 'encoder', format 2"):

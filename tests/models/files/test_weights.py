@@ -8,16 +8,10 @@ import torch
 from safetensors.torch import save_file
 
 from models.errors import InputError
-from models.files.container import WeightsError
+from models.files.container import WeightsError, file_hash
 from models.files.detectors import StoredDetector, save_detector
 from models.files.graphs import write_graph
-from models.files.weights import (
-    file_hash,
-    load_autoencoder,
-    load_policy,
-    save_autoencoder,
-    save_policy,
-)
+from models.files.weights import load_autoencoder, load_policy, save_autoencoder, save_policy
 from models.inference import Policy
 from models.networks.cae import ConvolutionalAutoencoder
 from models.networks.onnx_export import policy_graph
@@ -132,9 +126,14 @@ def test_damaged_header_of_an_autoencoder(tmp_path: Path, change: dict, named: s
         ({"initial_posture": "home"}, "could not convert"),
         ({"regulator_gain": None}, "NoneType"),
         ({"lower": None}, "MinMaxScaling needs"),
-        ({"metadata": []}, "no dictionary"),
-        ({"name": 3}, "its name is no text"),
-        ({"name": None}, "its name is no text"),
+        ({"metadata": []}, r"metadata is \[\]"),
+        ({"name": 3}, "name is 3"),
+        ({"name": None}, "name is None"),
+        ({"encoder_hash": 3}, "encoder_hash is 3"),
+        ({"torch": "x"}, "torch is 'x'"),
+        ({"beta": "x"}, "could not convert"),
+        ({"gamma": float("nan")}, "gamma is nan"),
+        ({"initial_posture": [float("inf")] * 8}, "initial_posture is"),
     ],
 )
 def test_damaged_header_of_a_policy(tmp_path: Path, change: dict, named: str) -> None:
@@ -168,6 +167,15 @@ def test_a_network_whose_weights_the_export_folds_is_refused(tmp_path: Path) -> 
 
     with pytest.raises(InputError, match=r"elman cannot be exported .*rnn\.spare\.bias, rnn\.spare\.weight"):
         policy_graph(Unused(), None)
+
+
+def test_a_network_that_cannot_be_exported_is_refused() -> None:
+    class Choosy(Elman):
+        def step(self, x: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            return super().step(x if float(x.sum()) > 0.0 else -x, state)
+
+    with pytest.raises(InputError, match=r"elman cannot be exported as a graph .*see `step`"):
+        policy_graph(Choosy(), None)
 
 
 def test_a_folder_is_no_weight_file(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from models.errors import InputError
-from models.files.weights import file_hash, load_autoencoder, load_policy
+from models.files.container import file_hash
+from models.files.weights import load_autoencoder, load_policy
 from models.training.__main__ import main, parse
 from models.training.cae import CaeOptions, train_cae
 from models.training.recall import RecallOptions, train_recall

@@ -10,7 +10,8 @@ import torch
 from models.data.augmentation import Augmentation
 from models.data.demonstrations import iterate_frames, read_demonstrations
 from models.errors import InputError
-from models.files.weights import WeightsError, file_hash, load_policy, save_policy
+from models.files.container import WeightsError, file_hash
+from models.files.weights import load_policy, save_policy
 from models.inference import Policy
 from models.networks import NETWORKS
 from models.training.__main__ import main, parse
