@@ -52,6 +52,8 @@ def read_graph(path: str | Path, kind: str) -> Graph:
     content = read_bytes(path, LARGEST)
     try:
         model = parse_model(content)
+        if not model.graph.node:
+            raise ValueError("it holds no graph")
         _require_harmless(path, model)
         entries = {pair.key: pair.value for pair in model.metadata_props}
         if HEADER not in entries:
@@ -88,7 +90,6 @@ def _require_harmless(path: str | Path, model: Any) -> None:
     training = [node.op_type for node in nodes if node.op_type == "Dropout" and len(node.input) > 2]
     chance = training + [node.op_type for node in nodes if node.op_type.startswith(_RANDOM)]
     for found, wrong in (
-        (not nodes, "holds no graph"),
         (foreign, f"needs operators of {', '.join(foreign)}"),
         (chance, f"draws random numbers ({', '.join(chance)})"),
         (model.functions or any(a.HasField("g") or a.graphs for a in attributes), "holds functions, branches or loops"),

@@ -71,7 +71,7 @@ def policy_graph(rnn: RecurrentNetwork, recall: RecallHeads | None) -> bytes:
     try:
         model = _export(_Tick(copy.deepcopy(rnn), copy.deepcopy(recall)), inputs, outputs)
     except torch.onnx.OnnxExporterError as error:
-        words = " ".join(str(error).split())[:300]
+        words = " ".join(str(error.__cause__ or error).split())[:300]
         raise InputError(f"the network {rnn.name} cannot be exported as a graph ({words}): see `step`") from error
     parts = {"rnn": rnn} | ({} if recall is None else {"recall": recall})
     wanted = {f"{part}.{name}" for part, module in parts.items() for name in module.state_dict()}

@@ -152,7 +152,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path, monkeypatch):
 def test_damaged_file(tmp_path, keep):
     path = saved(tmp_path)
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(WeightsError, match=r"x\.onnx: .*(damaged|no metadata entry|no graph)"):
+    with pytest.raises(WeightsError, match=r"x\.onnx: .*(damaged|no metadata entry)"):
         read_graph(path, "encoder")
 
 
