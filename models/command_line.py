@@ -42,7 +42,8 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
         print("interrupted", file=sys.stderr)
         code = 130
     try:
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed by whoever started the program
+            sys.stdout.flush()
     except BrokenPipeError:  # whoever read it has had enough: what is left goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)

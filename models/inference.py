@@ -12,7 +12,7 @@ from models.files.container import WeightsError
 from models.files.graphs import REMEDY, Graph, read_graph
 from models.files.policies import PolicyFacts, read_policy
 
-LARGEST_SIZE = 100_000  # of a vector that goes into a graph
+LARGEST_SIZE = 100_000  # of what goes into a graph or comes out
 BATCH = 64  # pictures that are encoded at once
 IMAGE_SIZE = 112  # width and height of a picture, pixels
 _PICTURE = (np.uint8, (IMAGE_SIZE, IMAGE_SIZE, 3))
@@ -57,9 +57,12 @@ class _Session:
         for name, (kind, sizes) in (inputs | outputs).items():
             shape, is_kind = self.shapes[name], found[name].dtype
             fits = len(shape) == len(sizes) and all(want in (0, size) for want, size in zip(sizes, shape, strict=True))
-            if not fits or is_kind != kind:
+            if not fits or is_kind != kind or not all(1 <= size <= LARGEST_SIZE for size in shape):
                 needed = f"{np.dtype(kind)} ({', '.join(str(size or 'n') for size in sizes)})"
-                raise WeightsError(path, f"its {name} is {is_kind} {shape}, where {needed} is needed", REMEDY)
+                limit = f"n from 1 to {LARGEST_SIZE}"
+                raise WeightsError(path, f"its {name} is {is_kind} {shape}, where {needed}, {limit}, is needed", REMEDY)
+            if not np.isfinite(found[name]).all():
+                raise WeightsError(path, f"its {name} is not finite where its inputs are 0", REMEDY)
 
     def __call__(self, **inputs: np.ndarray) -> list[np.ndarray]:
         return self._session.run(self._outputs, inputs)

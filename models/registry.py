@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from importlib.metadata import entry_points
 from typing import Generic, TypeVar
 
+from models.command_line import EXTRAS
 from models.errors import InputError
 
 T = TypeVar("T")
@@ -36,6 +37,8 @@ class Registry(Generic[T]):
         try:
             entry = getattr(importlib.import_module(module), name)
         except (ImportError, AttributeError, ValueError) as error:
+            if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS["train"]:
+                raise  # the program names the extra
             wrong = f"the {self.what} '{spec}' cannot be loaded ({error}): check the name and PYTHONPATH"
             raise InputError(wrong) from error
         if not isinstance(getattr(entry, "name", None), str):

@@ -52,15 +52,19 @@ def policy_file(folder: Path, rnn: str, training_seed: int = 0) -> Path:
     if not path.is_file():
         files = (found for found in folder.glob("*.onnx") if found.name not in (ENCODER, DECODER))
         there = sorted(found.stem for found in files if training_seed or not re.search(r"-\d+$", found.stem))
+        seed = f" of training seed {training_seed}" if training_seed else ""
         remedy = f"choose from {', '.join(there)}, or train one" if there else "give another folder, or train one"
-        raise InputError(f"there is no network '{path.stem}' in {folder}: {remedy} with `python -m models.training`")
+        raise InputError(f"there is no network '{rnn}'{seed} in {folder}: {remedy} with `python -m models.training`")
     return path
 
 
 def require_named(policy, rnn: str, path: Path) -> None:
     """Raises InputError unless `policy`, of the file `path`, is the network that `rnn` names."""
     if policy.name != (label := network_label(rnn)):
-        raise InputError(f"{path} holds the network '{policy.name}', not '{label}': give each file its own name")
+        raise InputError(
+            f"{path} holds the network '{policy.name}', not '{label}': give a file its network's name "
+            "(sweep.py takes other training seeds by --training-seeds)"
+        )
 
 
 def detector_file(folder: Path, detector: str) -> Path:

@@ -30,7 +30,8 @@ def require_trained_for(world: World, policy) -> None:
     initial = world.initial_posture
     have = facts(world) | {"initial posture": initial, "components": len(initial)}
     for name in ("components", "initial posture", "period", "camera", "closed_opening"):
-        if not np.allclose(have[name], trained[name], rtol=0.0, atol=1e-9):
+        same_shape = np.shape(have[name]) == np.shape(trained[name])
+        if not same_shape or not np.allclose(have[name], trained[name], rtol=0.0, atol=1e-9):
             words = [np.array2string(np.asarray(value), precision=6) for value in (have[name], trained[name])]
             raise InputError(
                 f"the world's {name.replace('_', ' ')} is {words[0]}, the network was trained with {words[1]}: "
@@ -42,5 +43,5 @@ def _numbers(world: Any) -> dict[str, Any]:
     """`world`, a weight file's; raises InputError unless its entries are numbers."""
     try:
         return {name: np.array(value, float).tolist() for name, value in world.items()}
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, OverflowError, TypeError, ValueError) as error:
         raise InputError(f"the policy's metadata hold a world that is none, {world!r}: see facts() here") from error

@@ -15,6 +15,7 @@ from models.errors import InputError
 from systems.arguments import require_count, require_positive, require_vector
 
 LARGEST_PICTURE = 2048  # pixels a side
+MOST_HALVINGS = 10  # of a period to a time step: a simulation of smaller ones would not end
 POSITIVE = (
     "timing.time_step", "timing.period", "servo.finger_stiffness", "servo.finger_damping", "grid.spacing",
     "regulator.state_weight", "regulator.input_weight",
@@ -126,12 +127,12 @@ class World:
         period, step, angle = self.timing.period, self.timing.time_step, self.camera.field_of_view_deg
         # Drake counts both as k * period in doubles: one ulp later than the step, and the tick's updates run after it
         # and see the state that it made. Halves of the period have its digits.
-        halvings = max(0, round(math.log2(min(period / step, 1e6))))
+        halvings = min(MOST_HALVINGS, max(0, round(math.log2(min(period / step, 1e6)))))
         if math.ldexp(step, halvings) != period:
             halved = period / 2**halvings
             raise InputError(
                 f"world.timing.time_step {step} s: some ticks, every {period} s, are no step of the plant to the last "
-                f"bit, and would see the posture a step late: choose {halved:g}, a period / 1, 2, 4, 8 ..."
+                f"bit, and would see the posture a step late: choose {halved!r}, a period / 1, 2, 4, 8 ..."
             )
         if not 0.0 < angle < 180.0:
             raise InputError(

@@ -77,6 +77,8 @@ def _values(tensor: Any) -> np.ndarray:
     """Of a floating point tensor, flat, in its own precision; raises ValueError where its shape asks for others."""
     kind, listed = _FLOATS[tensor.data_type], tensor.float_data or tensor.double_data
     values = np.array(listed, kind) if listed else np.frombuffer(tensor.raw_data, kind)
+    if kind is np.float16 and tensor.int32_data:  # their bits
+        values = np.array(tensor.int32_data, np.uint16).view(kind)
     if values.size != np.prod(tensor.dims, dtype=int):
         raise ValueError(f"{tensor.name} has {values.size} numbers for the shape {list(tensor.dims)}")
     return values

@@ -12,8 +12,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 # By message: its fields as "NAME NUMBER TYPE", a list with a star; a type that is no scalar is a message.
 _FIELDS = {
     "Pair": "key 1 string, value 2 string",
-    "Tensor": "dims* 1 int64, data_type 2 int32, float_data* 4 float, name 8 string, raw_data 9 bytes, "
-    "double_data* 10 double, external_data* 13 Pair, data_location 14 int32",
+    "Tensor": "dims* 1 int64, data_type 2 int32, float_data* 4 float, int32_data* 5 int32, name 8 string, "
+    "raw_data 9 bytes, double_data* 10 double, external_data* 13 Pair, data_location 14 int32",
     "Attribute": "name 1 string, t 5 Tensor, g 6 Graph, tensors* 10 Tensor, graphs* 11 Graph, sparse_tensor 22 bytes, "
     "sparse_tensors* 23 bytes",
     "Node": "input* 1 string, op_type 4 string, domain 7 string, attribute* 5 Attribute",

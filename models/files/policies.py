@@ -10,6 +10,8 @@ from models.data.scaling import MinMaxScaling
 from models.files.container import WeightsError
 from models.files.graphs import REMEDY, Graph, read_graph, write_graph
 
+_POSITIVE = ("mean_errors", "reference_errors", "beta")
+
 
 @dataclass(kw_only=True)
 class PolicyFacts:
@@ -51,6 +53,8 @@ class PolicyFacts:
                     number = np.array(found[name], float)
                     if not np.isfinite(number).all():
                         raise ValueError(f"{name} is {found[name]}")
+                    if name in _POSITIVE and not (number >= np.finfo(float).tiny).all():
+                        raise ValueError(f"{name} is {found[name]}: numbers above 0 are needed")
                     found[name] = number if name.endswith(("posture", "errors")) else float(number)
             facts = cls(scaling=MinMaxScaling(header["lower"], header["upper"]), **found)
             if facts.initial_posture.shape != facts.scaling.lower.shape:
@@ -58,7 +62,7 @@ class PolicyFacts:
             for name, kind in (("name", str), ("encoder_hash", str), ("metadata", dict), ("torch", dict | None)):
                 if not isinstance(getattr(facts, name), kind):
                     raise ValueError(f"{name} is {getattr(facts, name)!r}")
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, OverflowError, TypeError, ValueError) as error:
             raise WeightsError(path, f"its header does not describe a policy ({error})", REMEDY) from error
         return facts
 

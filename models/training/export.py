@@ -17,6 +17,8 @@ from models.files.weights import load_autoencoder
 from models.inference import Encoder
 from models.networks.onnx_export import decoder_graph, encoder_graph, halved
 
+MOST_PICTURES = 10_000
+
 
 @dataclass(kw_only=True)
 class ExportOptions:
@@ -73,8 +75,8 @@ def sample_pictures(path: Path, count: int) -> np.ndarray:
 
 def export(options: ExportOptions) -> None:
     """Writes the two files; raises InputError for data or an autoencoder that cannot be used."""
-    if options.pictures < 1:
-        raise InputError(f"--pictures {options.pictures} is too small: choose 1 or more")
+    if not 1 <= options.pictures <= MOST_PICTURES:
+        raise InputError(f"--pictures {options.pictures} is out of range: choose from 1 to {MOST_PICTURES}")
     model, trained = load_autoencoder(options.autoencoder)
     pictures = sample_pictures(options.data, options.pictures)
     origin = {"autoencoder": file_hash(options.autoencoder), "data_hash": read_header(options.data).content_hash}

@@ -19,6 +19,8 @@ from models.training.checkpoint import refuse_other
 from models.training.rnn import JOINTS, SequenceTraining, prepare_sequences
 from models.training.trainer import TrainingOptions, fit, prepare
 
+LONGEST = 100  # ticks recalled; a subtask has from 117
+
 
 @dataclass(kw_only=True)
 class RecallOptions(TrainingOptions):
@@ -103,6 +105,8 @@ def recall_errors(policy: StoredPolicy, pack: SequencePack) -> Tensor:
 
 def train_recall(options: RecallOptions) -> list[Path]:
     """Trains heads for each candidate in turn; skips those whose policy file is there. Returns the policy files."""
+    if options.horizon > LONGEST:
+        raise InputError(f"--horizon {options.horizon} is too long: choose at most {LONGEST} ticks")
     encoder, demos = Encoder(options.encoder), read_demonstrations(options.data)
     written = []
     for path in options.policy:

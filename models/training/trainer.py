@@ -27,6 +27,8 @@ _LOCAL = {"data", "out", "device", "encoder", "features", "policy", "start_from"
 _POSITIVE = {"steps", "batch_size", "max_images", "horizon", "checkpoint_every", "validate_every", "knot_ticks"}
 _POSITIVE |= {"scaling_margin", "least_half_range"}
 
+LARGEST_SEED = 10**9  # with the number of the update, a generator's seed
+
 
 @dataclass(kw_only=True)
 class TrainingOptions:
@@ -48,6 +50,8 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         require_in_range(asdict(self))
+        if self.seed > LARGEST_SEED:
+            raise InputError(f"--seed {self.seed} is too large: choose at most {LARGEST_SEED}")
 
     def as_metadata(self) -> dict[str, Any]:
         """The options for a weight file, without what belongs to this machine."""

@@ -56,6 +56,11 @@ def kill_at(monkeypatch: pytest.MonkeyPatch, number: int, after: bool, train: Ca
     return False
 
 
+def test_a_seed_that_no_generator_takes_is_refused(options: RnnOptions) -> None:
+    with pytest.raises(InputError, match=r"--seed 10000000000 is too large: choose at most 1000000000"):
+        replace(options, seed=10**10)
+
+
 @pytest.mark.parametrize("after", [False, True])
 def test_killed_at_any_write_the_same_command_ends_in_the_same_files(
     options: RnnOptions, unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: bool
