@@ -154,7 +154,7 @@ def test_policy_s_attributes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"posture": 7}, r"its recalled is float32 \(2, 7\), where float32 \(n, 8\) is needed"),
+        ({"posture": 7}, r"its recalled is float32 \(2, 7\), where float32 \(n, 8\), n from 1"),
         ({"features": 200_000}, r"its inputs have the sizes .*200008.*: fixed ones are needed"),
         ({"horizon": 3}, r"its mean_errors have the shape \(3,\).*4 are needed"),
     ],
