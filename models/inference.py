@@ -141,9 +141,8 @@ class Policy(PolicyFacts):
         self.feature_size = size - self.posture_size
         if shapes["y"] != (size,) or shapes["next_state"] != (self.state_size,) or self.feature_size < 1:
             raise WeightsError(path, f"its graph has the sizes {shapes}", "y is as long as x, next_state as state")
-        for name, errors in (("mean_errors", self.mean_errors), ("reference_errors", self.reference_errors)):
-            if errors is not None and errors.shape != (self.horizon + 1,):
-                raise WeightsError(path, f"its {name} have the shape {errors.shape}", f"{self.horizon + 1} are needed")
+        if (errors := self.mean_errors) is not None and errors.shape != (self.horizon + 1,):
+            raise WeightsError(path, f"its mean_errors have the shape {errors.shape}", f"{self.horizon + 1} are needed")
         self.initial_state = np.zeros(self.state_size)
 
     def step(self, x: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,16 +13,11 @@ class Augmentation:
     Args:
         joint_noise: std of the slow noise on the joints (Gaussian knots, linear between them).
         knot_ticks: ticks between knots.
-        finger_noise: std of slow noise on the finger. Its measured opening is its own last command: a network that
-            copies it lets it drift, and drops the can.
         feature_noise: std of white noise on the features.
         feature_slow_noise: std of slow noise on the features.
         quiet_probability: share of sequences without noise on the joints, and of those without on the features.
-        closed_finger_probability: share of the first subtask's sequences that start with the finger seen closed.
         loop_probability: share of sequences with one stretch on the network's own predictions (Eqs. 7, 8, alpha = 1).
         loop_to_end_probability: share of those stretches that go on to the end of the sequence.
-        hold_probability: share of those stretches before which the inputs stand still, as when the arm is stopped.
-        hold_ticks: longest such standstill.
         rest_ticks: longest rest, still on own predictions, after a stretch that goes to the end.
         carry_ticks: a later sequence may start from the state of any of the last so many ticks of the subtask, or of
             the rest. When a recovery ends, the recall fits as soon as it reaches back to the arrival at home only, long
@@ -31,15 +26,11 @@ class Augmentation:
 
     joint_noise: float = 0.08
     knot_ticks: int = 12
-    finger_noise: float = 0.4
     feature_noise: float = 0.12
     feature_slow_noise: float = 0.3
     quiet_probability: float = 0.2
-    closed_finger_probability: float = 0.2
     loop_probability: float = 0.4
     loop_to_end_probability: float = 0.6
-    hold_probability: float = 0.8
-    hold_ticks: int = 24
     rest_ticks: int = 30
     carry_ticks: int = 9
 
@@ -58,12 +49,11 @@ def augment(
     clean: Tensor,
     feature: Tensor,
     length: Tensor,
-    subtask: Tensor,
     joints: int,
     options: Augmentation,
     generator: torch.Generator,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Disturbs clean (T, B, 8) and feature (T, B, 30) of sequences with length and subtask (B,).
+    """Disturbs clean (T, B, 8) and feature (T, B, 30) of sequences with length (B,).
 
     `joints`: components of a posture before the finger.
 
@@ -72,7 +62,7 @@ def augment(
         the rest after a sequence included; (B,) index of the tick whose state a later sequence may start from.
     """
     ticks, batch = clean.shape[:2]
-    k, column = torch.arange(ticks)[:, None], torch.arange(batch)
+    k = torch.arange(ticks)[:, None]
 
     def chance(probability: float) -> Tensor:
         return torch.rand(batch, generator=generator) < probability
@@ -81,28 +71,18 @@ def augment(
     loud = (~chance(options.quiet_probability)).float()[:, None]
     noise = slow_noise(ticks, batch, joints, options.knot_ticks, generator)
     posture[..., :joints] += options.joint_noise * loud * noise
-    noise = slow_noise(ticks, batch, posture.shape[-1] - joints, options.knot_ticks, generator)
-    posture[..., joints:] += options.finger_noise * loud * noise
     loud = (~chance(options.quiet_probability)).float()[:, None]
     feature = feature + loud * (
         options.feature_noise * torch.randn(feature.shape, generator=generator)
         + options.feature_slow_noise * slow_noise(ticks, batch, feature.shape[-1], options.knot_ticks, generator)
     )
-    # After a recovery the finger may still be closed on nothing: it has to open again.
-    until = torch.randint(1, 5, (batch,), generator=generator)
-    shut = chance(options.closed_finger_probability) & (subtask == 0) & (k < until)
-    posture[..., joints:] = torch.where(shut[..., None], clean[length - 1, column, joints:], posture[..., joints:])
 
     loop, to_end = chance(options.loop_probability), chance(options.loop_to_end_probability)
-    share = torch.rand(3, batch, generator=generator)
+    share = torch.rand(2, batch, generator=generator)
     start = 1 + (share[0] * (length - 21).clamp_min(1)).long()
     stop = torch.where(to_end, ticks, start + 20 + (share[1] * (length - start - 20).clamp_min(1)).long())
     closed = loop & (k >= start) & (k < stop)
     rest = torch.randint(0, options.rest_ticks + 1, (batch,), generator=generator)
     longer = torch.where(loop & to_end, torch.clamp(length + rest, max=ticks), length)
     carried = torch.rand(batch, generator=generator) * (longer - length + options.carry_ticks)
-    hold = (2 + share[2] * (options.hold_ticks - 1)).long() * (loop & chance(options.hold_probability))
-    onset = (start - hold).clamp_min(0)
-    held = torch.where((k >= onset) & (k < start), onset, k)
-    x = torch.cat((posture, feature), -1)[held, column]
-    return x, closed, longer, longer - 1 - carried.long()
+    return torch.cat((posture, feature), -1), closed, longer, longer - 1 - carried.long()

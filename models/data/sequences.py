@@ -21,17 +21,17 @@ class SequencePack:
     Attributes:
         x: (n, L, 38) clean [m_k, f_k]; target: (n, L, 38) [m_{k+1}, f_{k+1}].
         length: (n,) ticks before the padding.
-        subtask: (n,) 0 or 1.
+        posture_size: components of a posture.
     """
 
     x: Tensor
     target: Tensor
     length: Tensor
-    subtask: Tensor
+    posture_size: int
 
     def pick(self, index: Tensor) -> Self:
         """The sequences at index (B,)."""
-        return type(self)(self.x[index], self.target[index], self.length[index], self.subtask[index])
+        return type(self)(self.x[index], self.target[index], self.length[index], self.posture_size)
 
 
 def pack_sequences(
@@ -47,18 +47,18 @@ def pack_sequences(
     for demo in demos:
         ends = [*demo.subtask_starts[1:], len(demo.posture)]
         ranges = zip(subtask_ranges(demo), ends, strict=True)
-        cuts += [(demo, start, stop, end - 1, subtask) for subtask, ((start, stop), end) in enumerate(ranges)]
-    ticks = np.arange(max(stop - start for _, start, stop, _, _ in cuts) + padding)
+        cuts += [(demo, start, stop, end - 1) for (start, stop), end in ranges]
+    ticks = np.arange(max(stop - start for _, start, stop, _ in cuts) + padding)
     rows = []
-    for demo, start, stop, last, _ in cuts:
+    for demo, start, stop, last in cuts:
         now = np.minimum(start + ticks, stop - 1)
         after = np.minimum(now + 1, last)
         posture, feature = scaling.scale(demo.posture), features[demo.name]
         commanded = scaling.scale(demo.actions)[now] if target == "action" else posture[after]
         rows.append((np.hstack((posture[now], feature[now])), np.hstack((commanded, feature[after]))))
     x, wanted = (torch.from_numpy(np.stack(part)).float() for part in zip(*rows, strict=True))
-    length = torch.tensor([stop - start for _, start, stop, _, _ in cuts])
-    return SequencePack(x, wanted, length, subtask=torch.tensor([cut[-1] for cut in cuts]))
+    length = torch.tensor([stop - start for _, start, stop, _ in cuts])
+    return SequencePack(x, wanted, length, len(scaling.lower))
 
 
 @dataclass
@@ -67,15 +67,13 @@ class Batch:
 
     Attributes:
         x: (T, B, 38) inputs; closed: (T, B, 1) bool, where the own prediction takes their place.
-        target: (T, B, 38) [m_{k+1}, f_{k+1}]; pull: (T, B, 8) m_k - m_init that the regulator sees.
-        clean: (T, B, 8) clean m_k; valid: (T, B) 1 where a tick counts; last: (B,) index of the last valid tick;
+        target: (T, B, 38) [m_{k+1}, f_{k+1}]; clean: (T, B, 8) clean m_k; valid: (T, B) 1 where a tick counts; last: (B,) index of the last valid tick;
         carry: (B,) index of the tick whose state a later sequence may start from.
     """
 
     x: Tensor
     closed: Tensor
     target: Tensor
-    pull: Tensor
     clean: Tensor
     valid: Tensor
     last: Tensor
@@ -87,21 +85,19 @@ class Batch:
 
 
 def make_batch(
-    pack: SequencePack, initial: Tensor, joints: int, options: Augmentation | None, generator: torch.Generator
+    pack: SequencePack, joints: int, options: Augmentation | None, generator: torch.Generator
 ) -> Batch:
     """Time-first batch of a pack (all its sequences), augmented unless options is None.
 
-    `initial`: scaled (8,); `joints`: components that the regulator pulls and the joint noise moves, before the finger.
+    `joints`: components that the joint noise moves, before the finger.
     """
-    x, size = pack.x.transpose(0, 1).contiguous(), len(initial)
+    x, size = pack.x.transpose(0, 1).contiguous(), pack.posture_size
     clean = x[..., :size]
     closed, length, carry = torch.zeros(x.shape[:2], dtype=torch.bool), pack.length, pack.length - 1
     if options is not None:
-        x, closed, length, carry = augment(clean, x[..., size:], length, pack.subtask, joints, options, generator)
-    pull = torch.zeros_like(clean)
-    pull[..., :joints] = torch.where(closed[..., None], clean, x[..., :size])[..., :joints] - initial[:joints]
+        x, closed, length, carry = augment(clean, x[..., size:], length, joints, options, generator)
     valid = (torch.arange(len(x))[:, None] < length).float()
-    return Batch(x, closed[..., None], pack.target.transpose(0, 1), pull, clean, valid, length - 1, carry)
+    return Batch(x, closed[..., None], pack.target.transpose(0, 1), clean, valid, length - 1, carry)
 
 
 def run(rnn: RecurrentNetwork, batch: Batch, state: Tensor) -> tuple[Tensor, Tensor]:
@@ -110,8 +106,8 @@ def run(rnn: RecurrentNetwork, batch: Batch, state: Tensor) -> tuple[Tensor, Ten
     return rnn(batch.x[:ticks], batch.closed[:ticks], state)
 
 
-def errors(y: Tensor, batch: Batch, gain: float) -> tuple[Tensor, Tensor]:
-    """Squared errors of the command y - K (m - m_init) (T, B, 8) (Eq. 3, alpha = 0) and of the features (T, B, 30)."""
-    ticks, size = len(y), batch.clean.shape[-1]
-    command, target = y[..., :size] - gain * batch.pull[:ticks], batch.target[:ticks]
-    return (command - target[..., :size]).square(), (y[..., size:] - target[..., size:]).square()
+def errors(y: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
+    """Squared errors of the posture (T, B, 8) and of the features (T, B, 30) that y (T, B, 38) predicts."""
+    size = batch.clean.shape[-1]
+    squares = (y - batch.target[: len(y)]).square()
+    return squares[..., :size], squares[..., size:]

@@ -10,7 +10,7 @@ from models.data.scaling import MinMaxScaling
 from models.files.container import WeightsError
 from models.files.graphs import REMEDY, Graph, read_graph, write_graph
 
-_POSITIVE = ("mean_errors", "reference_errors", "beta")
+_POSITIVE = ("mean_errors", "beta")
 
 
 @dataclass(kw_only=True)
@@ -22,9 +22,8 @@ class PolicyFacts:
         name: of the network, short.
         scaling: bounds of the posture (M,).
         initial_posture: (M,).
-        regulator_gain: K per tick, the same for each joint.
         encoder_hash: hash of the file of the encoder that it goes with.
-        mean_errors: (N+1,) mean l_n of normal runs; reference_errors: (N+1,) what l_n is divided by.
+        mean_errors: (N+1,) mean l_n of normal runs, which l_n is divided by.
         beta, gamma: of the detector's sigmoid.
         torch: what the torch modules are built from again; None where torch did not make them.
         metadata: anything else, JSON-serialisable: training arguments, hash of the data set.
@@ -33,10 +32,8 @@ class PolicyFacts:
     name: str
     scaling: MinMaxScaling
     initial_posture: np.ndarray
-    regulator_gain: float
     encoder_hash: str
     mean_errors: np.ndarray | None = None
-    reference_errors: np.ndarray | None = None
     beta: float | None = None
     gamma: float | None = None
     torch: dict[str, Any] | None = None
@@ -48,8 +45,8 @@ class PolicyFacts:
         known = {entry.name for entry in fields(PolicyFacts)} - {"scaling"}
         found = {name: value for name, value in header.items() if name in known}
         try:
-            for name in ("initial_posture", "mean_errors", "reference_errors", "regulator_gain", "beta", "gamma"):
-                if name in found and (found[name] is not None or name in ("initial_posture", "regulator_gain")):
+            for name in ("initial_posture", "mean_errors", "beta", "gamma"):
+                if name in found and (found[name] is not None or name == "initial_posture"):
                     number = np.array(found[name], float)
                     if not np.isfinite(number).all():
                         raise ValueError(f"{name} is {found[name]}")

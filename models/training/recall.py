@@ -37,8 +37,7 @@ class RecallOptions(TrainingOptions):
         learning_rate: of Adam, decays to final_rate by a cosine.
         final_rate: see learning_rate.
         checkpoint_every: updates between checkpoints.
-        augmentation: of the inputs, as in the network's training, but with more and longer standstills before the loop
-            is closed: to recall the path that should have been taken is what gives a stopped arm away.
+        augmentation: of the inputs, as in the network's training.
     """
 
     policy: tuple[Path, ...]
@@ -51,7 +50,7 @@ class RecallOptions(TrainingOptions):
     learning_rate: float = 2e-3
     final_rate: float = 2e-5
     checkpoint_every: int = 500
-    augmentation: Augmentation = field(default_factory=lambda: Augmentation(loop_probability=0.6, hold_probability=1.0))
+    augmentation: Augmentation = field(default_factory=Augmentation)
 
 
 def recall_targets(clean: Tensor, horizon: int) -> Tensor:
@@ -69,6 +68,7 @@ class RecallTraining(SequenceTraining):
         self.rnn.requires_grad_(False)
         self.heads = RecallHeads(self.rnn.state_size, self.rnn.posture_size, options.horizon, options.hidden or None)
         self.out = out
+        self.initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
 
     def loss(self, data: Any, step: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Eq. 4 on every valid tick, and on c_0, which recalls the first posture."""
@@ -94,8 +94,7 @@ class RecallTraining(SequenceTraining):
 def recall_errors(policy: StoredPolicy, pack: SequencePack) -> Tensor:
     """Mean squared scaled error of the joints (N,) for n = 1..N on clean sequences, inputs from the data."""
     assert policy.recall is not None
-    initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
-    batch = make_batch(pack, initial, JOINTS, None, torch.Generator()).to(policy.rnn.output.weight.device)
+    batch = make_batch(pack, JOINTS, None, torch.Generator()).to(policy.rnn.output.weight.device)
     _, states = run(policy.rnn, batch, policy.rnn.initial_state(len(pack.length)))
     valid = batch.valid[: len(states)] > 0
     target = recall_targets(batch.clean[: len(states)], policy.recall.horizon)

@@ -1,4 +1,4 @@
-"""Training of the recurrent network (Eq. 2) with the regulator's pull in its output (Eq. 3, alpha = 0)."""
+"""Training of the recurrent network (Eq. 2)."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,15 +36,12 @@ class RnnOptions(TrainingOptions):
         features: file in which the features are kept for other trainings; DIR/features.npz if not given.
         rnn: network: a name, or package.module:Class for a subclass of models.networks.rnn.RecurrentNetwork.
         start_from: candidate file whose weights and scaling are trained further, on this encoder's features; of the
-            same network, regulator gain and initial posture.
+            same network and initial posture.
         steps: updates; the network's own number (training_defaults) if not given.
         batch_size: sequences an update; a sequence is one subtask.
-        posture_weight: weight of the posture's against the features' mean square error; the network's own if not given.
-        start_weight: extra weight of the first start_ticks ticks, where the network must start by itself.
-        start_ticks: see start_weight.
-        state_weight: weight of the mean of (c_0 - c_T)^2.
+        posture_weight: weight of the posture's squared errors in Eq. 2, 1 in the paper; the network's own if not given.
         carry_over: share of sequences that start from a late state of an earlier one instead of c_0.
-        regulator_gain: K a tick, as the regulator of the diagram.
+        form: of the posture's prediction: absolute, or with a skip connection, m_k + dm^L_k + output.
         target: command to learn: the action at k, or the posture measured at k+1, which holds what the teacher's arm
             was pushed off by.
         scaling_margin: how much wider than the data the scaling's bounds are.
@@ -64,11 +61,8 @@ class RnnOptions(TrainingOptions):
     steps: int | None = None
     batch_size: int = 16
     posture_weight: float | None = None
-    start_weight: float = 3.0
-    start_ticks: int = 6
-    state_weight: float = 1.0
     carry_over: float = 0.5
-    regulator_gain: float = 0.1
+    form: Literal["absolute", "skip"] = "absolute"
     target: Literal["posture", "action"] = "action"
     scaling_margin: float = 1.1
     least_half_range: float = 0.3
@@ -84,18 +78,12 @@ class RnnOptions(TrainingOptions):
         return replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
 
 
-def posture_scaling(
-    demos: list[Demonstration], initial: np.ndarray, gain: float, margin: float, least_half_range: float
-) -> MinMaxScaling:
-    """Bounds (8,) that hold the postures and the network's output, which also makes up for the regulator's pull."""
-    rows = []
-    for demo in demos:
-        pull = gain * (demo.posture[:-1] - initial)
-        pull[:, JOINTS:] = 0.0
-        rows += [demo.posture, demo.posture[1:] + pull]
-    least = np.full(len(initial), 0.01)
+def posture_scaling(demos: list[Demonstration], margin: float, least_half_range: float) -> MinMaxScaling:
+    """Bounds (8,) that hold the postures."""
+    rows = np.concatenate([demo.posture for demo in demos])
+    least = np.full(rows.shape[1], 0.01)
     least[:JOINTS] = least_half_range
-    return MinMaxScaling.from_data(np.concatenate(rows), margin, least)
+    return MinMaxScaling.from_data(rows, margin, least)
 
 
 class SequenceTraining(Training):
@@ -107,7 +95,6 @@ class SequenceTraining(Training):
         super().__init__(options.steps, options.learning_rate, options.final_rate)
         self.options, self.carry_over, self.train_pack = options, carry_over, train
         self.policy, self.rnn = policy, policy.rnn
-        self.initial = torch.from_numpy(policy.scaling.scale(policy.initial_posture)).float()
         # Late states of earlier sequences; row 0 stays c_0.
         self.register_buffer("pool", torch.zeros(POOL, self.rnn.state_size))
 
@@ -115,7 +102,7 @@ class SequenceTraining(Training):
         """Sequences with their augmentation, the rows of the pool they start from, and the rows they end in."""
         size, generator = self.options.batch_size, step_generator(self.options.seed, step)
         index = torch.randint(0, len(self.train_pack.length), (size,), generator=generator)
-        batch = make_batch(self.train_pack.pick(index), self.initial, JOINTS, self.options.augmentation, generator)
+        batch = make_batch(self.train_pack.pick(index), JOINTS, self.options.augmentation, generator)
         carried = torch.rand(size, generator=generator) < self.carry_over
         start = torch.randint(0, POOL, (size,), generator=generator) * carried
         end = 1 + (step * size + torch.arange(size)) % (POOL - 1)
@@ -137,23 +124,19 @@ class RnnTraining(SequenceTraining):
         self.valid_pack = valid
 
     def loss(self, data: Any, step: int) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 2."""
-        options, batch = self.options, data[0]
+        """Eq. 2 over the batch, by its number of ticks and of outputs, so that the learning rate fits any."""
+        batch = data[0]
         y, states = self.run(data)
-        posture, feature = (part.mean(-1) for part in errors(y, batch, options.regulator_gain))
-        weight = batch.valid[: len(y)].clone()
-        early = weight[: options.start_ticks].sum() * options.start_weight
-        weight[: options.start_ticks] *= 1.0 + options.start_weight
-        posture_loss = (weight * posture).sum() / (weight.sum() - early)
-        feature_loss = (batch.valid[: len(y)] * feature).sum() / batch.valid.sum()
-        state_loss = states[batch.last, torch.arange(states.shape[1])].square().mean()
-        loss = options.posture_weight * posture_loss + feature_loss + options.state_weight * state_loss
-        return loss, {"loss": loss, "posture": posture_loss, "feature": feature_loss, "state": state_loss}
+        valid = batch.valid[: len(y), :, None]
+        posture, feature = ((valid * part).sum() for part in errors(y, batch))
+        state = states[batch.last, torch.arange(states.shape[1])].square().sum()
+        loss = (self.options.posture_weight * posture + feature + state) / (valid.sum() * y.shape[-1])
+        return loss, {"loss": loss, "posture": posture, "feature": feature, "state": state}
 
     def validate(self, done: int) -> dict[str, float]:
         if done % self.options.validate_every and done != self.steps:
             return {}
-        return validate(self.rnn, self.valid_pack, self.initial, self.options.regulator_gain, JOINTS)
+        return validate(self.rnn, self.valid_pack, JOINTS)
 
     def weight_file(self, done: int) -> Path:
         """A candidate a checkpoint."""
@@ -182,7 +165,6 @@ def load_start(path: Path, options: RnnOptions, initial: np.ndarray) -> StoredPo
     started = load_policy(path)
     for what, have, want in (
         ("network", started.rnn.spec, options.rnn),
-        ("regulator gain", started.regulator_gain, options.regulator_gain),
         ("initial posture", started.initial_posture.round(6).tolist(), initial.round(6).tolist()),
     ):
         if have != want:
@@ -195,7 +177,7 @@ def train_rnn(options: RnnOptions) -> Path:
     options = options.with_defaults()
     prepare(options)
     header, encoder, demos = read_header(options.data), Encoder(options.encoder), read_demonstrations(options.data)
-    initial, gain = header.initial_posture, options.regulator_gain
+    initial = header.initial_posture
     metadata: dict[str, Any] = {
         "training": options.as_metadata(),
         "data_hash": header.content_hash,
@@ -205,7 +187,7 @@ def train_rnn(options: RnnOptions) -> Path:
     rnn = make_rnn(options.rnn, len(initial), encoder.feature_size)
     if options.start_from is None:
         train = [demo for demo in demos if demo.split == "train"]
-        scaling = posture_scaling(train, initial, gain, options.scaling_margin, options.least_half_range)
+        scaling = posture_scaling(train, options.scaling_margin, options.least_half_range)
     else:
         started = load_start(options.start_from, options, initial)
         made_from["start_from"] = file_hash(options.start_from)
@@ -220,9 +202,12 @@ def train_rnn(options: RnnOptions) -> Path:
         f"{int(length.min())} to {int(length.max())} ticks"
     )
     policy = StoredPolicy(
-        rnn=rnn, name=rnn.name, scaling=scaling, initial_posture=initial, regulator_gain=gain,
+        rnn=rnn, name=rnn.name, scaling=scaling, initial_posture=initial,
         encoder_hash=encoder.hash, metadata=metadata,
     )  # fmt: skip
+    if options.form == "skip":
+        start = torch.from_numpy(scaling.scale(initial)).float()
+        rnn.skip[:JOINTS], rnn.offset[:JOINTS] = 0.9, 0.1 * start[:JOINTS]
     policy_graph(rnn, None)  # a network that cannot be exported is refused before it is trained
     training = RnnTraining(options, packs["train"], packs["valid"], policy)
     fit(training, options, made_from, name="rnn", clip=1.0)
