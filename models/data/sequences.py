@@ -67,7 +67,8 @@ class Batch:
 
     Attributes:
         x: (T, B, 38) inputs; closed: (T, B, 1) bool, where the own prediction takes their place.
-        target: (T, B, 38) [m_{k+1}, f_{k+1}]; clean: (T, B, 8) clean m_k; valid: (T, B) 1 where a tick counts; last: (B,) index of the last valid tick;
+        target: (T, B, 38) [m_{k+1}, f_{k+1}]; clean: (T, B, 8) clean m_k.
+        valid: (T, B) 1 where a tick counts; last: (B,) index of the last valid tick;
         carry: (B,) index of the tick whose state a later sequence may start from.
     """
 
@@ -84,9 +85,7 @@ class Batch:
         return type(self)(**{field.name: getattr(self, field.name).to(device) for field in fields(self)})
 
 
-def make_batch(
-    pack: SequencePack, joints: int, options: Augmentation | None, generator: torch.Generator
-) -> Batch:
+def make_batch(pack: SequencePack, joints: int, options: Augmentation | None, generator: torch.Generator) -> Batch:
     """Time-first batch of a pack (all its sequences), augmented unless options is None.
 
     `joints`: components that the joint noise moves, before the finger.

@@ -32,15 +32,14 @@ class Cell(Protocol):
 class Loop(torch.autograd.Function):
     """Runs a Cell from h and m (B, U) over x (T, B, i): y (T, B, o), h and m (T, B, U).
 
-    The sums are bias + x_k from_x in the first columns, + h_{k-1} from_h in the last ones; y_k = h_k to_y + y_bias +
-    skip x_k.
+    The sums are bias + x_k from_x in the first columns, + h_{k-1} from_h in the last ones; y_k = h_k to_y + y_bias.
     Where `closed` (T, B, 1) is True, but at the first tick, the own clipped prediction takes the input's place. No
     gradients to x and to the first h and m: they are data.
     """
 
     @staticmethod
     def forward(
-        ctx: Any, cell: Cell, x: Tensor, closed: Tensor, h: Tensor, m: Tensor, skip: Tensor, *weights: Tensor
+        ctx: Any, cell: Cell, x: Tensor, closed: Tensor, h: Tensor, m: Tensor, *weights: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """`weights`: from_x (i, <= n U), from_h (U, <= n U), bias (n U,), to_y (U, o), y_bias (o,)."""
         from_x, from_h, bias, to_y, y_bias = (weight.contiguous() for weight in weights)
@@ -55,7 +54,7 @@ class Loop(torch.autograd.Function):
         hs, ms = [h], [m]
         for k in range(len(x)):
             if k and loops[k]:
-                own = torch.addmm(y_bias, h, to_y).addcmul_(x_k[k - 1], skip).clamp_(-1.0, 1.0)
+                own = torch.addmm(y_bias, h, to_y).clamp_(-1.0, 1.0)
                 torch.where(closed_k[k], own, x_k[k], out=x_k[k])
                 torch.addmm(bias[:to_x], x_k[k], from_x, out=by_x_k[k])
             by_h_k[k].addmm_(h, from_h)
@@ -63,8 +62,8 @@ class Loop(torch.autograd.Function):
             hs.append(h)
             ms.append(m)
         all_h, all_m = torch.stack(hs), torch.stack(ms)
-        y = all_h[1:] @ to_y + y_bias + x * skip
-        ctx.save_for_backward(x, closed, a, all_h, all_m, y, from_x, from_h, to_y, skip)
+        y = all_h[1:] @ to_y + y_bias
+        ctx.save_for_backward(x, closed, a, all_h, all_m, y, from_x, from_h, to_y)
         ctx.cell, ctx.loops = cell, loops
         return y, all_h[1:], all_m[1:]
 
@@ -72,7 +71,7 @@ class Loop(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad_y: Tensor, grad_h: Tensor, grad_m: Tensor) -> tuple[Tensor | None, ...]:
         """Backpropagation through time."""
-        x, closed, a, hs, ms, y, from_x, from_h, to_y, skip = ctx.saved_tensors
+        x, closed, a, hs, ms, y, from_x, from_h, to_y = ctx.saved_tensors
         ticks, batch, units = grad_h.shape
         h_by_m, m_by_m, h_by_a, m_by_a = ctx.cell.slopes(a, ms[:-1], ms[1:], hs[1:])
         inside = closed[1:] & (y[:-1].abs() < 1.0)
@@ -95,9 +94,9 @@ class Loop(torch.autograd.Function):
             grad_m_k[k - 1].addcmul_(through_m, m_by_m_k[k])
             grad_h_k[k - 1].addmm_(to_h_k[k], back_h)
             if ctx.loops[k]:
-                back = (to_x_k[k] @ back_x).addcmul_(grad_y_k[k], skip).mul_(inside_k[k - 1])
+                back = (to_x_k[k] @ back_x).mul_(inside_k[k - 1])
                 grad_y_k[k - 1].add_(back)
                 grad_h_k[k - 1].addmm_(back, back_y)
         x, hs, grad_a, grad_y = (whole.flatten(0, 1) for whole in (x, hs, grad_a, grad_y))
         by_x, by_h = x.t() @ grad_a[:, :to_x], hs[:-batch].t() @ grad_a[:, to_h:]
-        return (*[None] * 6, by_x, by_h, grad_a.sum(0), hs[batch:].t() @ grad_y, grad_y.sum(0))
+        return (*[None] * 5, by_x, by_h, grad_a.sum(0), hs[batch:].t() @ grad_y, grad_y.sum(0))

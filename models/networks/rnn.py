@@ -36,8 +36,6 @@ class RecurrentNetwork(nn.Module, ABC):
         self.posture_size, self.feature_size, self.state_size = posture_size, feature_size, state_size
         self.input_size = self.output_size = posture_size + feature_size
         self.output = nn.Linear(output_from, self.output_size)
-        self.register_buffer("skip", torch.zeros(self.output_size), persistent=False)
-        self.register_buffer("offset", torch.zeros(self.output_size), persistent=False)
 
     def initial_state(self, batch: int) -> Tensor:
         """c_0 (B, S), zeros."""
@@ -86,7 +84,7 @@ class LSTM(RecurrentNetwork):
         o, i, f = torch.sigmoid(gates).split(self.units, 1)
         c = f * c + i * torch.tanh(cell)
         h = o * torch.tanh(c)
-        return self.output(h) + self.skip * x + self.offset, torch.cat((h, c), 1)
+        return self.output(h), torch.cat((h, c), 1)
 
     def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """As RecurrentNetwork.forward; the state gets no gradient."""
@@ -95,8 +93,8 @@ class LSTM(RecurrentNetwork):
         twice = torch.ones_like(self.gates.bias)
         twice[3 * self.units :] = 2.0
         from_x, from_h = (self.gates.weight.t() * twice).split((self.input_size, self.units))
-        weights = (from_x, from_h, self.gates.bias * twice, self.output.weight.t(), self.output.bias + self.offset)
-        y, h, c = Loop.apply(self, x, closed, h, c, self.skip, *weights)
+        weights = (from_x, from_h, self.gates.bias * twice, self.output.weight.t(), self.output.bias)
+        y, h, c = Loop.apply(self, x, closed, h, c, *weights)
         return y, torch.cat((h, c), -1)
 
     def advance(self, a: Tensor, blocks: tuple[Tensor, ...], m: Tensor) -> tuple[Tensor, Tensor]:
@@ -135,15 +133,15 @@ class GRU(RecurrentNetwork):
         z = torch.sigmoid(z_x + z_h)
         n = torch.tanh(n_x + torch.sigmoid(r_x + r_h) * n_h)
         h = n + z * (state - n)
-        return self.output(h) + self.skip * x + self.offset, h
+        return self.output(h), h
 
     def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """As RecurrentNetwork.forward; the state gets no gradient."""
         # Sums: new by the input, reset, update, new by the hidden; the input has the first three, the hidden the last.
         from_x, x_bias = (part.roll(self.units, 0) for part in (self.from_input.weight, self.from_input.bias))
         bias = F.pad(x_bias, (0, self.units)) + F.pad(self.from_hidden.bias, (self.units, 0))
-        weights = (from_x.t(), self.from_hidden.weight.t(), bias, self.output.weight.t(), self.output.bias + self.offset)
-        y, h, _ = Loop.apply(self, x, closed, state, state, self.skip, *weights)
+        weights = (from_x.t(), self.from_hidden.weight.t(), bias, self.output.weight.t(), self.output.bias)
+        y, h, _ = Loop.apply(self, x, closed, state, state, *weights)
         return y, h
 
     def advance(self, a: Tensor, blocks: tuple[Tensor, ...], m: Tensor) -> tuple[Tensor, Tensor]:
@@ -190,7 +188,7 @@ class MTRNN(RecurrentNetwork):
         u_fast, u_slow = state.split(self.sizes, 1)
         u_fast = torch.lerp(u_fast, self.to_fast(torch.cat((x, h), 1)), 1.0 / self.tau[0])
         u_slow = torch.lerp(u_slow, self.to_slow(h), 1.0 / self.tau[1])
-        return self.output(torch.tanh(u_fast)) + self.skip * x + self.offset, torch.cat((u_fast, u_slow), 1)
+        return self.output(torch.tanh(u_fast)), torch.cat((u_fast, u_slow), 1)
 
     def forward(self, x: Tensor, closed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """As RecurrentNetwork.forward; the state gets no gradient."""
@@ -198,8 +196,8 @@ class MTRNN(RecurrentNetwork):
         from_h = torch.cat((from_h, self.to_slow.weight))
         bias = torch.cat((self.to_fast.bias, self.to_slow.bias))
         to_y = F.pad(self.output.weight, (0, self.sizes[1]))
-        weights = (from_x.t(), from_h.t(), bias, to_y.t(), self.output.bias + self.offset)
-        y, _, u = Loop.apply(self, x, closed, torch.tanh(state), state, self.skip, *weights)
+        weights = (from_x.t(), from_h.t(), bias, to_y.t(), self.output.bias)
+        y, _, u = Loop.apply(self, x, closed, torch.tanh(state), state, *weights)
         return y, u
 
     def advance(self, a: Tensor, blocks: tuple[Tensor, ...], m: Tensor) -> tuple[Tensor, Tensor]:

@@ -41,7 +41,6 @@ class RnnOptions(TrainingOptions):
         batch_size: sequences an update; a sequence is one subtask.
         posture_weight: weight of the posture's squared errors in Eq. 2, 1 in the paper; the network's own if not given.
         carry_over: share of sequences that start from a late state of an earlier one instead of c_0.
-        form: of the posture's prediction: absolute, or with a skip connection, m_k + dm^L_k + output.
         target: command to learn: the action at k, or the posture measured at k+1, which holds what the teacher's arm
             was pushed off by.
         scaling_margin: how much wider than the data the scaling's bounds are.
@@ -62,7 +61,6 @@ class RnnOptions(TrainingOptions):
     batch_size: int = 16
     posture_weight: float | None = None
     carry_over: float = 0.5
-    form: Literal["absolute", "skip"] = "absolute"
     target: Literal["posture", "action"] = "action"
     scaling_margin: float = 1.1
     least_half_range: float = 0.3
@@ -205,9 +203,6 @@ def train_rnn(options: RnnOptions) -> Path:
         rnn=rnn, name=rnn.name, scaling=scaling, initial_posture=initial,
         encoder_hash=encoder.hash, metadata=metadata,
     )  # fmt: skip
-    if options.form == "skip":
-        start = torch.from_numpy(scaling.scale(initial)).float()
-        rnn.skip[:JOINTS], rnn.offset[:JOINTS] = 0.9, 0.1 * start[:JOINTS]
     policy_graph(rnn, None)  # a network that cannot be exported is refused before it is trained
     training = RnnTraining(options, packs["train"], packs["valid"], policy)
     fit(training, options, made_from, name="rnn", clip=1.0)

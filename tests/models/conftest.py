@@ -99,7 +99,6 @@ def make_policy(name: str = "lstm", recall: bool = True) -> StoredPolicy:
         recall=RecallHeads(rnn.state_size, 8) if recall else None,
         scaling=MinMaxScaling(-np.arange(1.0, 9.0), np.arange(2.0, 10.0)),
         initial_posture=synthetic.INITIAL_POSTURE,
-        regulator_gain=0.1,
         encoder_hash="e" * 64,
         metadata={"training": {"seed": 0}},
     )

@@ -146,7 +146,6 @@ def test_policy_s_attributes(tmp_path: Path) -> None:
     assert policy.initial_state.shape == (500,)
     assert not policy.initial_state.any()
     assert (policy.mean_errors, policy.beta, policy.gamma) == (None, None, None)
-    assert policy.regulator_gain == 0.1
     assert (policy.hash, policy.name) == (file_hash(path), "lstm")
     assert policy.initial_posture.shape == (8,)
 

@@ -11,21 +11,13 @@ from models.errors import InputError
 from tests.models.conftest import make_policy
 from tests.models.data.test_demonstrations import demo, ramp
 
-QUIET = Augmentation(
-    finger_noise=0.0,
-    joint_noise=0,
-    feature_noise=0,
-    feature_slow_noise=0,
-    closed_finger_probability=0,
-    loop_probability=0,
-)
-INITIAL = torch.zeros(8)
+QUIET = Augmentation(joint_noise=0, feature_noise=0, feature_slow_noise=0, loop_probability=0)
 
 
 def random_pack(count: int = 6, length: int = 60, padding: int = 30) -> SequencePack:
     g = torch.Generator().manual_seed(0)
     x = torch.cat([torch.rand(count, length + padding, n, generator=g) for n in (8, 30)], -1)
-    return SequencePack(x, x + 0.1, length - 5 + torch.arange(count) % 6, torch.arange(count) % 2)
+    return SequencePack(x, x + 0.1, length - 5 + torch.arange(count) % 6, 8)
 
 
 def test_pack_aligns_targets_one_tick_ahead_and_rests_at_the_end() -> None:
@@ -34,7 +26,7 @@ def test_pack_aligns_targets_one_tick_ahead_and_rests_at_the_end() -> None:
     features = {"demo_0": np.arange(len(one.posture))[:, None] * np.ones(30)}
     pack = pack_sequences([one], features, MinMaxScaling(-np.ones(8), np.ones(8)), "posture", 4)
     assert pack.length.tolist() == [26, 17]
-    assert pack.subtask.tolist() == [0, 1]
+    assert pack.posture_size == 8
     assert pack.x[0, :, 8].tolist() == [*range(9, 35), 34, 34, 34, 34]
     assert pack.target[0, :, 8].tolist() == [*range(10, 36), 35, 35, 35, 35]
     assert pack.target[1, 16, 8] == 58  # the very last tick has none after it
@@ -45,7 +37,7 @@ def test_pack_aligns_targets_one_tick_ahead_and_rests_at_the_end() -> None:
 def test_without_augmentation_inputs_are_the_data() -> None:
     pack = random_pack()
     for options in (None, QUIET):
-        batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+        batch = make_batch(pack, 7, options, torch.Generator().manual_seed(1))
         torch.testing.assert_close(batch.x, pack.x.transpose(0, 1))
         assert not batch.closed.any()
         assert batch.last.tolist() == [54, 55, 56, 57, 58, 59]
@@ -54,14 +46,13 @@ def test_without_augmentation_inputs_are_the_data() -> None:
 
 def test_noise_has_the_asked_size_and_never_touches_targets() -> None:
     pack = random_pack(64)
-    options = replace(QUIET, joint_noise=0.08, finger_noise=0.4, feature_noise=0.05, quiet_probability=0.0)
-    batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+    options = replace(QUIET, joint_noise=0.08, feature_noise=0.05, quiet_probability=0.0)
+    batch = make_batch(pack, 7, options, torch.Generator().manual_seed(1))
     noise = batch.x - pack.x.transpose(0, 1)
-    assert noise[..., 7].std().item() == pytest.approx(0.4 * (2 / 3) ** 0.5, rel=0.1)
+    assert not noise[..., 7].any()  # the fingers have two openings, which they take at once
     assert noise[..., :7].std().item() == pytest.approx(0.08 * (2 / 3) ** 0.5, rel=0.1)  # of knots joined by lines
     assert noise[..., 8:].std().item() == pytest.approx(0.05, rel=0.05)
     torch.testing.assert_close(batch.target, pack.target.transpose(0, 1))
-    torch.testing.assert_close(batch.pull[..., :7], batch.x[..., :7])  # the regulator sees what the network sees
 
 
 def test_slow_noise_is_linear_between_its_knots() -> None:
@@ -70,10 +61,10 @@ def test_slow_noise_is_linear_between_its_knots() -> None:
     assert (bends.sum(0) <= 2 * (200 // 12 + 1)).all()
 
 
-def test_loop_stretches_rest_and_hold() -> None:
+def test_loop_stretches_and_rest() -> None:
     pack = random_pack(200)
-    options = replace(QUIET, loop_probability=1.0, loop_to_end_probability=0.5, hold_probability=1.0)
-    batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+    options = replace(QUIET, loop_probability=1.0, loop_to_end_probability=0.5)
+    batch = make_batch(pack, 7, options, torch.Generator().manual_seed(1))
     closed = batch.closed[..., 0]
     assert closed.any(0).all()
     assert not closed[0].any()
@@ -86,17 +77,14 @@ def test_loop_stretches_rest_and_hold() -> None:
             assert stop - start >= 20
             assert batch.last[b] == pack.length[b] - 1
         assert pack.length[b] - 1 <= batch.last[b] <= pack.length[b] - 1 + 30
-        assert torch.equal(batch.x[start - 1, b], batch.x[max(start - 2, 0), b])  # stood still for 2 ticks or more
-        clean = pack.x[b, start:stop, :7]
-        torch.testing.assert_close(batch.pull[start:stop, b, :7], clean)
 
 
 def test_states_are_carried_over_from_the_end_dwell_or_the_rest() -> None:
     pack = random_pack(400)
-    still = make_batch(pack, INITIAL, 7, None, torch.Generator())
+    still = make_batch(pack, 7, None, torch.Generator())
     assert torch.equal(still.carry, still.last)
     options = replace(QUIET, loop_probability=0.5, carry_ticks=9)
-    batch = make_batch(pack, INITIAL, 7, options, torch.Generator().manual_seed(1))
+    batch = make_batch(pack, 7, options, torch.Generator().manual_seed(1))
     back, rest = batch.last - batch.carry, batch.last - (pack.length - 1)
     assert back.min() == 0
     assert torch.all(back <= rest + 8)
@@ -104,27 +92,14 @@ def test_states_are_carried_over_from_the_end_dwell_or_the_rest() -> None:
     assert (back - rest).min() < -15  # and of the rest
 
 
-def test_closed_finger_at_the_start_of_the_first_subtask_only() -> None:
-    pack = random_pack(40)
-    batch = make_batch(
-        pack, INITIAL, 7, replace(QUIET, closed_finger_probability=1.0), torch.Generator().manual_seed(1)
-    )
-    changed = (batch.x[..., 7] != pack.x[..., 7].t()).sum(0)
-    assert changed[pack.subtask == 1].eq(0).all()
-    assert changed[pack.subtask == 0].min() == 1
-    assert changed[pack.subtask == 0].max() == 4
-    grip = pack.x[torch.arange(40), pack.length - 1, 7]
-    assert torch.equal(batch.x[0, pack.subtask == 0, 7], grip[pack.subtask == 0])
-
-
 def test_batch_goes_to_a_device_whole() -> None:
-    batch = make_batch(random_pack(), INITIAL, 7, QUIET, torch.Generator().manual_seed(1))
+    batch = make_batch(random_pack(), 7, QUIET, torch.Generator().manual_seed(1))
     assert {value.device.type for value in vars(batch.to(torch.device("meta"))).values()} == {"meta"}
 
 
 def test_run_closes_the_loop_on_the_clipped_prediction() -> None:
     rnn, pack = make_policy().rnn, random_pack(2, 25, 0)
-    batch = make_batch(pack, INITIAL, 7, None, torch.Generator())
+    batch = make_batch(pack, 7, None, torch.Generator())
     batch.closed[10:15, 1] = True
     with torch.no_grad():
         rnn.output.bias[0] = 5.0
@@ -140,14 +115,11 @@ def test_run_closes_the_loop_on_the_clipped_prediction() -> None:
     torch.testing.assert_close(states[-1], state)
 
 
-def test_error_of_the_command_is_eq_3_at_alpha_zero() -> None:
-    batch = make_batch(random_pack(2), torch.full((8,), 0.2), 7, None, torch.Generator())
-    y = torch.zeros(5, 2, 38)
-    posture, feature = errors(y, batch, 0.1)
-    m, target = batch.clean[:5], batch.target[:5]
-    torch.testing.assert_close(posture[..., :7], (0.1 * (m[..., :7] - 0.2) + target[..., :7]).square())
-    torch.testing.assert_close(posture[..., 7], target[..., 7].square())
-    torch.testing.assert_close(feature, target[..., 8:].square())
+def test_errors_are_those_of_the_posture_and_of_the_features() -> None:
+    batch = make_batch(random_pack(2), 7, None, torch.Generator())
+    posture, feature = errors(torch.full((5, 2, 38), 0.2), batch)
+    torch.testing.assert_close(posture, (0.2 - batch.target[:5, :, :8]).square())
+    torch.testing.assert_close(feature, (0.2 - batch.target[:5, :, 8:]).square())
 
 
 def test_a_split_without_a_demonstration_is_named() -> None:
