@@ -22,7 +22,7 @@ RECALL = "recall"  # the detector whose calibration is in the policy's own file
 class Calibration:
     """What a detector needs beside what was learned (Eqs. 5, 6); beta and gamma are dimensionless."""
 
-    reference_errors: tuple[float, ...]  # one a criterion (N + 1 of the recall), in the unit of the detector's errors
+    mean_errors: tuple[float, ...]  # one a criterion (N + 1 of the recall), in the unit of the detector's errors
     beta: float
     gamma: float
 
@@ -81,10 +81,10 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     from models.files.detectors import calibration_of, load_detector
 
     if DETECTORS.label(detector) == RECALL:
-        references, gamma = (policy.reference_errors, policy.gamma) if gamma is None else (policy.mean_errors, gamma)
-        if references is None or policy.beta is None or gamma is None:
+        means, gamma = policy.mean_errors, policy.gamma if gamma is None else gamma
+        if means is None or policy.beta is None or gamma is None:
             raise InputError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
-        return Calibration(tuple(references), policy.beta, gamma)
+        return Calibration(tuple(means), policy.beta, gamma)
     path = detector_file(folder, detector)
     found = calibration_of(path, load_detector(path, DETECTORS.label(detector)), policy.hash)
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)

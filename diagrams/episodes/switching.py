@@ -11,7 +11,7 @@ after that tick. Undisturbed: as above.
 from dataclasses import dataclass
 from typing import Literal
 
-from systems.dwell_time import GUARD
+from systems.detector import GUARD
 
 DETECTED, RESUMED = 0.9, 0.1  # values of alpha
 DETECTION_TICKS = 5  # after the end of the disturbance

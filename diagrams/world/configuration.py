@@ -100,6 +100,8 @@ class World:
     initial_joints_deg: list[float] = field(default_factory=lambda: [28.0, 30.0, 0.0, 83.0, 0.0, 62.0, 0.0])
     opening: float = 0.08  # gap of the open fingers, m
     closed_opening: float = 0.03  # commanded gap of the closed fingers, m: they stall on the can
+    # Of the gap that the network predicts, m: below the first it commands closed fingers, above the second open ones.
+    finger_thresholds: list[float] = field(default_factory=lambda: [0.045, 0.065])
 
     @property
     def initial_posture(self) -> np.ndarray:
@@ -142,4 +144,10 @@ class World:
             raise InputError(
                 f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: "
                 "choose 0 <= closed_opening < opening"
+            )
+        thresholds = self.finger_thresholds
+        if len(thresholds) != 2 or not self.closed_opening <= thresholds[0] < thresholds[1] <= self.opening:
+            raise InputError(
+                f"world.finger_thresholds {thresholds} m do not fit: choose two, closed_opening {self.closed_opening} <= "
+                f"first < second <= opening {self.opening}"
             )

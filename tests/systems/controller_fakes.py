@@ -36,7 +36,7 @@ class FakePolicy:
     """Predicts `drift` from its input; its state is the last horizon inputs' postures, so it recalls exactly what it
     was fed, plus `nonsense`."""
 
-    def __init__(self, joints=3, feature_size=4, horizon=2, drift=0.01, nonsense=0.0, gain=0.1):
+    def __init__(self, joints=3, feature_size=4, horizon=2, drift=0.01, nonsense=0.0):
         self.posture_size = joints + 1
         self.feature_size = feature_size
         self.horizon = horizon
@@ -44,8 +44,7 @@ class FakePolicy:
         self.scaling = MinMaxScaling(-2.0 * np.ones(self.posture_size), np.arange(1.0, self.posture_size + 1))
         self.initial_posture = np.linspace(-0.5, 0.5, self.posture_size)
         self.initial_state = np.tile(self.scaling.scale(self.initial_posture), horizon + 1)
-        self.calibration = np.full(horizon + 1, 1e-4), 30.0, 60.0  # reference errors, beta, gamma
-        self.regulator_gain = gain
+        self.calibration = np.full(horizon + 1, 1e-4), 30.0, 60.0  # mean errors, beta, gamma
         self.drift, self.nonsense = drift, nonsense
         self.inputs, self.log = [], []
 
@@ -93,7 +92,9 @@ def make_controller(encoder=None, policy=None, detector=None, **arguments):
         regulator_R=90.0,
         joint_lower=np.full(n, -10.0),
         joint_upper=np.full(n, 10.0),
-        speed_limits=np.full(n, 100.0),
+        speed_limits=np.full(n - 1, 100.0),
+        finger_openings=(-1.0, 1.0),
+        finger_thresholds=(-0.25, 0.25),
         period=PERIOD,
     )
     encoder = encoder or FakeEncoder(policy.feature_size)
