@@ -102,14 +102,32 @@ def make_controller(encoder=None, policy=None, detector=None, **arguments):
     return SwitchedController(encoder, policy, detector, **(defaults | arguments))
 
 
-class ClosedLoop:
-    """The controller with a calibration, a grey image, and an arm; optionally a log of an output at the ticks."""
+class Camera(LeafSystem):
+    """A grey image that is brighter at every tick, and that between them is as bright as at the next one."""
 
-    def __init__(self, controller, arm, calibration, logged=None):
+    def __init__(self):
+        super().__init__()
+        make = lambda: AbstractValue.Make(ImageRgba8U(112, 112))  # noqa: E731
+        self.DeclareAbstractOutputPort("rgb_image", make, self._calc, {self.time_ticket()})
+
+    def _calc(self, context, output):
+        output.get_mutable_value().mutable_data[:] = self.intensity(int(np.ceil(context.get_time() / PERIOD - 1e-6)))
+
+    @staticmethod
+    def intensity(k):
+        """At tick k: 0 to 255."""
+        return 20 + 37 * k % 200
+
+
+class ClosedLoop:
+    """The controller with a calibration, a camera (a grey image if None), and an arm; optionally a log of an output at
+    the ticks."""
+
+    def __init__(self, controller, arm, calibration, logged=None, camera=None):
         builder = DiagramBuilder()
         self.controller = builder.AddNamedSystem("controller", controller)
         self.arm = builder.AddNamedSystem("arm", arm)
-        camera = builder.AddNamedSystem("camera", ConstantValueSource(AbstractValue.Make(image())))
+        camera = builder.AddNamedSystem("camera", camera or ConstantValueSource(AbstractValue.Make(image())))
         builder.Connect(camera.get_output_port(), controller.GetInputPort("rgb_image"))
         builder.Connect(arm.get_output_port(), controller.GetInputPort("posture"))
         builder.Connect(controller.GetOutputPort("desired_posture"), arm.get_input_port())
