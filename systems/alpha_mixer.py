@@ -68,12 +68,12 @@ def AlphaMixer_(T):
             fingers = size - self._joints
             self._closed, self._open = _pair("finger_openings", finger_openings, fingers)
             self._closed_below, self._open_above = _pair("finger_thresholds", finger_thresholds, fingers)
-            rising = self._lower[self._joints :], self._closed, self._closed_below
-            rising += self._open_above, self._open, self._upper[self._joints :]
+            low, high = self._lower[self._joints :], self._upper[self._joints :]
+            rising = low, self._closed, self._closed_below, self._open_above, self._open, high
             if np.any(np.diff(rising, axis=0) < 0.0) or np.any(self._closed_below == self._open_above):
                 raise ValueError(
                     f"finger_openings are {finger_openings} and finger_thresholds {finger_thresholds}, within the "
-                    f"bounds {rising[0]} to {rising[-1]}; needed is lower <= closed <= closed below < open above <= "
+                    f"bounds {low} to {high}; needed is lower <= closed <= closed below < open above <= "
                     "open <= upper: pass such numbers."
                 )
             self._arguments = dict(
@@ -116,9 +116,8 @@ def AlphaMixer_(T):
 
 def _pair(name: str, values, size: int) -> tuple[np.ndarray, np.ndarray]:
     """The two of `values`, (size,) each; a number stands for all components."""
-    first, second = values
-    shaped = (np.full(size, value) if np.ndim(value) == 0 else value for value in (first, second))
-    return tuple(require_vector(name, value, size) for value in shaped)
+    first, second = (np.full(size, value) if np.ndim(value) == 0 else value for value in values)
+    return require_vector(name, first, size), require_vector(name, second, size)
 
 
 AlphaMixer = AlphaMixer_[None]

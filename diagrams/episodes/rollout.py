@@ -77,7 +77,7 @@ class Rollout:
                 joint_upper=upper,
                 speed_limits=speed[:ARM_JOINTS],
                 finger_openings=(world.closed_opening, world.opening),
-                finger_thresholds=tuple(world.finger_thresholds),
+                finger_thresholds=(world.close_below, world.open_above),
                 period=world.timing.period,
                 image_width=world.camera.width,
                 image_height=world.camera.height,

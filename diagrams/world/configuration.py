@@ -100,8 +100,8 @@ class World:
     initial_joints_deg: list[float] = field(default_factory=lambda: [28.0, 30.0, 0.0, 83.0, 0.0, 62.0, 0.0])
     opening: float = 0.08  # gap of the open fingers, m
     closed_opening: float = 0.03  # commanded gap of the closed fingers, m: they stall on the can
-    # Of the gap that the network predicts, m: below the first it commands closed fingers, above the second open ones.
-    finger_thresholds: list[float] = field(default_factory=lambda: [0.045, 0.065])
+    close_below: float = 0.045  # predicted gap below which closed fingers are commanded, m
+    open_above: float = 0.065  # predicted gap above which open fingers are commanded, m
 
     @property
     def initial_posture(self) -> np.ndarray:
@@ -145,9 +145,8 @@ class World:
                 f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: "
                 "choose 0 <= closed_opening < opening"
             )
-        thresholds = self.finger_thresholds
-        if len(thresholds) != 2 or not self.closed_opening <= thresholds[0] < thresholds[1] <= self.opening:
+        if not self.closed_opening <= self.close_below < self.open_above <= self.opening:
             raise InputError(
-                f"world.finger_thresholds {thresholds} m do not fit: choose two, closed_opening {self.closed_opening} <= "
-                f"first < second <= opening {self.opening}"
+                f"world.close_below {self.close_below} m and open_above {self.open_above} m do not fit: choose "
+                f"closed_opening {self.closed_opening} <= close_below < open_above <= opening {self.opening}"
             )
