@@ -17,15 +17,16 @@ def test_the_error_of_the_prediction_is_not_the_distance_from_home(world, sample
     rollout = build_rollout(world, WEIGHTS / ENCODER, Controller(policy_file(WEIGHTS, "lstm")))
     scaling = rollout.policy.scaling
     home = scaling.scale(world.initial_posture)
-    errors, squares = [], []
+    errors, squares, picked = [], [], 0
     for seed in episode_seeds("validation", VALIDATION_BLOCK, 10):
         # Nothing fires, and nothing is divided: l_0 itself.
         calibration = never_fires(rollout.policy.horizon + 1)
-        _, record = rollout.run(sampler.sample(seed, "none"), calibration=calibration)
+        outcome, record = rollout.run(sampler.sample(seed, "none"), calibration=calibration)
         assert record.alpha.max() < 1e-100
+        picked += outcome.picked
         errors.append(record.errors[:, 0])
         squares.append(np.mean((scaling.scale(record.posture) - home)[:, :ARM_JOINTS] ** 2, axis=1))
     l_0, square = np.concatenate(errors), np.concatenate(squares)
-    assert len(l_0) > 2000
+    assert picked >= 9  # an arm that does not move would prove nothing
     for distance in (square, np.sqrt(square)):
         assert abs(np.corrcoef(l_0, distance)[0, 1]) < 0.3
