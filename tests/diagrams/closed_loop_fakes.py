@@ -61,7 +61,7 @@ class FakePolicy:
             ([WAITING, 0, 0], np.tile(self.scaling.scale(self.initial_posture), self.horizon + 1))
         )
         # n = 0 compares with the prediction, which is the residual of the LQR and no posture: hardly to be relied on.
-        self.reference_errors = np.array([1.0] + [2e-6] * self.horizon)
+        self.mean_errors = np.array([1.0] + [2e-6] * self.horizon)
         self.inputs = []
         self._paths = {}
 
