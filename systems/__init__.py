@@ -14,6 +14,7 @@ recall_detector        the paper's, Eq. 5: recalled against measured postures
 window_detector        what the two baselines have in common: the last samples of each joint
 knn_detector           the first baseline: distance to the nearest training window
 subspace_detector      the second: what is outside the leading axes of the training windows
+never_detector         none: the network alone
 posture_regulator      Drake's LQR for the discrete posture integrator
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 regulated_mixer        the two of them, as one Diagram

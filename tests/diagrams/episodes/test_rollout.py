@@ -14,6 +14,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import CacheIndex
 from pydrake.systems.primitives import VectorLogSink
 
+from diagrams.episodes.calibration import never_fires
 from diagrams.episodes.compatibility import facts, require_trained_for
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import Record
@@ -198,7 +199,7 @@ def test_robbed_hand_goes_home_and_picks_the_can_up_again(robbed):
     assert_task_done(robbed)
     assert robbed.outcome.switch_success
     words = robbed.words()
-    assert "the can is taken from the hand and put elsewhere on the desk" in words
+    assert "the can is put elsewhere on the desk" in words
     assert words.count("picked; subtask 2: place the can") == 2
     active = np.flatnonzero(robbed.record.active)
     assert np.array_equal(active, np.arange(active[0], active[0] + 20))
@@ -257,7 +258,7 @@ def test_the_can_is_where_it_was_put_at_once(robbed):
     assert before[6] > 0.15
     # One plant step of rest, or of falling within it, at most.
     assert after[:7] == pytest.approx([1, 0, 0, 0, x, y, CAN_HALF_HEIGHT], abs=1e-3)
-    assert robbed.words().index("the can is taken from the hand and put elsewhere on the desk") > 0
+    assert robbed.words().index("the can is put elsewhere on the desk") > 0
 
 
 def test_a_tick_renders_once_where_a_picture_is_needed(rollout, policy, moved_with_the_can):
@@ -330,11 +331,17 @@ def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkey
 
 
 def test_no_disturbance_came(rollout, policy, encoder):
-    """The moment never comes within the time: said, and not a success of the switching."""
-    episode = Episode(0, CAN, "left", DisturbanceSpec("B", level=0.01, hold_ticks=20))
-    run = Run(rollout, policy, encoder, episode, time_limit=2.0)
-    assert (run.outcome.success, run.outcome.switch_success) == (False, False)
-    assert (run.outcome.switch_failure, run.outcome.returned) == ("not disturbed", False)
+    """The moment never comes within the time: void, neither a success nor a failure."""
+    for given in (
+        DisturbanceSpec("B", level=0.01, hold_ticks=20),
+        DisturbanceSpec("moved", level=0.01, can_moved_to=[0.5, 0.0]),
+    ):
+        outcome = Run(rollout, policy, encoder, Episode(0, CAN, "left", given), time_limit=2.0).outcome
+        assert (outcome.void, outcome.success, outcome.switch_failure) == (True, None, None)
+        assert (outcome.switch_success, outcome.paper_switch_success) == (
+            (None, None) if given.takes_arm else (True, True)
+        )
+        assert outcome.returned is (False if given.takes_arm else None)
 
 
 def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, moved_before_the_grasp):
@@ -346,28 +353,38 @@ def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, moved_be
     assert run.outcome.sim_seconds == pytest.approx(14.0 + 0.1 * (resumed - onset))
 
 
-def test_a_run_for_the_detection_alone_ends_soon_after_the_disturbance(rollout, policy, moved_before_the_grasp):
+def test_a_run_for_the_detection_alone_ends_with_the_disturbance(rollout, policy, moved_before_the_grasp):
     whole = moved_before_the_grasp
     policy.learn(whole.episode)
     outcome, record = rollout.run(whole.episode, until="detection")
-    assert (outcome.success, outcome.failure) == (None, None)
+    assert (outcome.success, outcome.failure, outcome.switch_success, outcome.paper_switch_success) == (None,) * 4
     end = np.flatnonzero(whole.record.active)[-1] + 1
-    assert len(record.time) == end + 5
-    assert np.array_equal(record.errors, whole.record.errors[: end + 5])
+    assert len(record.time) == end + 1
+    assert np.array_equal(record.errors, whole.record.errors[: end + 1])
 
 
-def test_a_run_for_the_switching_alone_ends_once_it_is_decided(rollout, policy, moved_before_the_grasp):
+def test_a_run_for_the_switching_alone_goes_on_to_the_end_unless_it_failed(rollout, policy, moved_before_the_grasp):
     whole = moved_before_the_grasp
     policy.learn(whole.episode)
     outcome, record = rollout.run(whole.episode, until="switching")
     assert (outcome.success, outcome.failure, outcome.paper_switch_success) == (None, None, None)
     assert (whole.outcome.success, whole.outcome.paper_switch_success) == (True, True)
-    for name in ("switch_success", "detection_delay_s", "return_s", "resume_s", "switch_failure"):
+    for name in ("switch_success", "detection_delay_s", "return_s", "resume_s", "switch_failure", "sim_seconds"):
         assert getattr(outcome, name) == getattr(whole.outcome, name)
+    assert np.array_equal(record.errors, whole.record.errors)
+    # With a detector that never fires it has failed at the end of the disturbance.
+    policy.learn(whole.episode)
+    outcome, record = rollout.run(whole.episode, until="switching", calibration=never_fires(11))
+    assert (outcome.switch_success, outcome.switch_failure) == (False, "not detected")
+    assert len(record.time) == np.flatnonzero(record.active)[-1] + 2
+
+
+def test_a_run_for_the_paper_s_words_ends_with_the_resumption(rollout, policy, moved_before_the_grasp):
+    whole = moved_before_the_grasp
+    policy.learn(whole.episode)
+    outcome, record = rollout.run(whole.episode, until="as_paper")
+    assert (outcome.success, outcome.switch_success, outcome.paper_switch_success) == (None, None, True)
     assert record.alpha[-1] <= 0.1 < record.alpha[-2]
-    ticks = len(record.time)
-    assert ticks < len(whole.record.time)
-    assert np.array_equal(record.errors, whole.record.errors[:ticks])
 
 
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
