@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from diagrams.episodes.calibration import Calibration, Controller, detector_file, make_detector, never_fires
+from diagrams.episodes.calibration import UNFITTED, Calibration, Controller, detector_file, make_detector, never_fires
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.sampling import episode_seeds
 from diagrams.episodes.thresholds import best_in_loop, by_count
@@ -42,7 +42,7 @@ class BaselinesArguments:
     policies: list[Path]  # policy files, all in one folder
     data: Path  # demonstrations of diagrams/teach.py
     # names of detectors, or package.module:Class
-    detector: list[str] = field(default_factory=lambda: [name for name in DETECTORS if name != "recall"])
+    detector: list[str] = field(default_factory=lambda: [name for name in DETECTORS if name not in UNFITTED])
     scenario: Path | None = None  # YAML file whose world the episodes run in
     encoder: Path = WEIGHTS / ENCODER  # file of the encoder
     episodes: int = 20  # undisturbed validation episodes, as many as calibrate.py runs

@@ -27,9 +27,9 @@ from models.errors import InputError
 
 @dataclass
 class DisturbanceArguments(DisturbanceSpec):
-    """A DisturbanceSpec, its kind as --disturbance."""
+    """A DisturbanceSpec, its kind as --disturbance (see systems/disturbance.py; moved: the can alone)."""
 
-    kind: Annotated[str, tyro.conf.arg(name="disturbance", prefix_name=False)] = "A"  # none, A or B
+    kind: Annotated[str, tyro.conf.arg(name="disturbance", prefix_name=False)] = "A"  # none, A, B or moved
 
 
 @dataclass
@@ -117,6 +117,7 @@ def main(cli: PickPlaceArguments) -> int:
             calibration=calibration,
         )
     word = "done" if outcome.success else f"failed ({outcome.failure})"
+    word = "void: the disturbance never came" if outcome.void else word
     if cli.json is not None:
         cli.json.write_text(json.dumps(outcome.to_dict(), indent=2) + "\n")
     if cli.record is not None:
@@ -137,7 +138,7 @@ def main(cli: PickPlaceArguments) -> int:
     _draw("diagram", lambda: save_graph(rollout.diagram, cli.graphviz))
     stages = {"picked": outcome.picked, "placed": outcome.placed, "at the initial posture": outcome.home}
     print(f"task {word}: " + ", ".join(f"{stage} {'yes' if reached else 'no'}" for stage, reached in stages.items()))
-    if kind != "none":
+    if episode.disturbance.takes_arm and not outcome.void:
         delay = outcome.detection_delay_s
         switching = "as it should" if outcome.switch_success else f"failed ({outcome.switch_failure})"
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))

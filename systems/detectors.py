@@ -8,5 +8,6 @@ DETECTORS: Registry = Registry(
         "recall": "systems.recall_detector:RecallDetector",
         "knn": "systems.knn_detector:KnnDetector",
         "subspace": "systems.subspace_detector:SubspaceDetector",
+        "never": "systems.never_detector:NeverDetector",
     },
 )

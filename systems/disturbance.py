@@ -8,7 +8,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from systems.arguments import require_count, require_positive, require_vector
 
-KINDS = ("none", "A", "B")
+KINDS = ("none", "A", "B", "moved")
 MOVE_TICKS = 8  # duration of the move of kind A, ticks
 
 
@@ -17,7 +17,7 @@ MOVE_TICKS = 8  # duration of the move of kind A, ticks
 class DisturbanceParameters:
     """What a disturbance does, once in an episode."""
 
-    kind: str = "none"  # none; A: the arm is moved away; B: it is stopped
+    kind: str = "none"  # none; A: the arm is moved away; B: it is stopped; moved: something else is, see below
     level: float | None = None  # it begins at the first tick at which the trigger is below, unit of the trigger
     target: list[float] | None = None  # A: where the first components are moved to, unit of the posture
     hold_ticks: int = 0  # how long the arm is held there (A) or stopped (B), ticks
@@ -45,6 +45,7 @@ class Disturbance(LeafSystem):
         kind "A": on a straight line in MOVE_TICKS equal steps from the command at the onset to the target (the first
             step at once), then the target for `hold_ticks`; components without a target keep the command at the onset;
         kind "B": the command at the onset for `hold_ticks`;
+        kind "moved": the input, as ever: what else is moved at the onset is told it by `ticks_since_onset` alone;
         kind "none": the input, always.
     Afterwards it is transparent again, and stays so. Ticks since the onset and the command at the onset are discrete
     state. The DisturbanceParameters are parameters of the Context, so one diagram serves all episodes.
@@ -110,7 +111,7 @@ class Disturbance(LeafSystem):
         if ticks < 0:
             return False
         kind, _, hold_ticks = self._schedule_of(context)
-        return kind != "none" and ticks < hold_ticks + (MOVE_TICKS if kind == "A" else 0)
+        return kind in ("A", "B") and ticks < hold_ticks + (MOVE_TICKS if kind == "A" else 0)
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         ticks = self._ticks_since_onset(context)

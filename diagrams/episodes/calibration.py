@@ -16,13 +16,14 @@ from systems.detector import NEVER
 from systems.detectors import DETECTORS
 
 RECALL = "recall"  # the detector whose calibration is in the policy's own file
+UNFITTED = (RECALL, "never")  # detectors without a file: they learn nothing
 
 
 @dataclass(frozen=True)
 class Calibration:
     """What a detector needs beside what was learned (Eqs. 5, 6); beta and gamma are dimensionless."""
 
-    reference_errors: tuple[float, ...]  # one a criterion (N + 1 of the recall), in the unit of the detector's errors
+    mean_errors: tuple[float, ...]  # one a criterion (N + 1 of the recall), in the unit of the detector's errors
     beta: float
     gamma: float
 
@@ -73,7 +74,7 @@ def detector_file(folder: Path, detector: str) -> Path:
 
 
 def stored_calibration(detector: str, policy, folder: Path, gamma: float | None = None) -> Calibration:
-    """The calibration in the files in `folder`; with a `gamma`, the paper's rule (errors referred to their means).
+    """The calibration in the files in `folder`, with `gamma` instead of theirs if one is given.
 
     `policy`: see models/inference.py. Raises InputError for a policy without, WeightsError for a detector's file that
     is missing, damaged, or without a calibration for this policy.
@@ -81,10 +82,12 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     from models.files.detectors import calibration_of, load_detector
 
     if DETECTORS.label(detector) == RECALL:
-        references, gamma = (policy.reference_errors, policy.gamma) if gamma is None else (policy.mean_errors, gamma)
-        if references is None or policy.beta is None or gamma is None:
+        means, gamma = policy.mean_errors, policy.gamma if gamma is None else gamma
+        if means is None or policy.beta is None or gamma is None:
             raise InputError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
-        return Calibration(tuple(references), policy.beta, gamma)
+        return Calibration(tuple(means), policy.beta, gamma)
+    if DETECTORS.label(detector) in UNFITTED:
+        return never_fires(1)
     path = detector_file(folder, detector)
     found = calibration_of(path, load_detector(path, DETECTORS.label(detector)), policy.hash)
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
@@ -110,5 +113,5 @@ def make_detector(detector: str, policy, folder: Path) -> System:
     from models.files.detectors import load_detector
 
     label = DETECTORS.label(detector)
-    arrays = {} if label == RECALL else load_detector(detector_file(folder, detector), label).arrays
+    arrays = {} if label in UNFITTED else load_detector(detector_file(folder, detector), label).arrays
     return DETECTORS[detector].build(policy, ARM_JOINTS, arrays)

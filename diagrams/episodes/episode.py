@@ -18,6 +18,8 @@ class Episode:
     disturbance: DisturbanceSpec = field(default_factory=DisturbanceSpec)
     rnn: str = "lstm"
     detector: str = "recall"
+    # Whether the straight way home from the disturbance is clear; None: undisturbed, or not looked at.
+    way_home_clear: bool | None = None
 
 
 @dataclass
@@ -33,18 +35,23 @@ class Outcome:
     picked: bool
     placed: bool
     home: bool
-    success: bool | None  # None: not asked for, see Until in switching.py
+    void: bool  # the disturbance never came: neither a success nor a failure, see switching.py
+    way_home_clear: bool | None  # see Episode
+    success: bool | None  # None: void, or not asked for, see Until in switching.py
     switched: bool
     detection_delay_s: float | None
-    false_switches: int
+    guard_crossings: int  # of alpha through 1/2, up and down, in the whole run
+    false_switches: int  # before the onset
+    later_switches: int  # after the network had the arm again
+    needless_s: float  # alpha >= 1/2 that no disturbance explains
     returned: bool | None
     resumed: bool | None
-    switch_success: bool
-    paper_switch_success: bool | None  # in the paper's words; None: not asked for
+    switch_success: bool | None  # None: void, or not asked for
+    paper_switch_success: bool | None  # in the paper's words; None: void, or not asked for
     alpha_max_before: float
     return_s: float | None  # from the end of the disturbance to the initial posture
     resume_s: float | None  # from the initial posture to alpha <= 0.1
-    failure: str | None  # of SWITCHING_FAILURES, TASK_FAILURES, or "simulation diverged"
+    failure: str | None  # what went wrong first, of SWITCHING_FAILURES, TASK_FAILURES, or "simulation diverged"
     switch_failure: str | None  # of SWITCHING_FAILURES, or "simulation diverged"
     sim_seconds: float
     wall_seconds: float = 0.0

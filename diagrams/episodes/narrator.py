@@ -39,7 +39,7 @@ class Narrator:
         placed = monitor.placed(cans)
         returning = alpha >= GUARD or (self._was.get("returning", False) and alpha > RESUMED)
         for name, now, begins, ends in (
-            ("taken", taken, "the can is taken from the hand and put elsewhere on the desk", None),
+            ("taken", taken, "the can is put elsewhere on the desk", None),
             ("subtask 1", not held and not placed, "subtask 1: pick the can", None),
             ("disturbed", active, "the experimenter disturbs the arm", "the experimenter lets the arm go"),
             ("returning", returning, "recall fails: switched to the LQR", "recalls again: the network resumes"),

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from diagrams.episodes.episode import Outcome
-from diagrams.episodes.switching import DETECTION_TICKS
 from models.errors import InputError
 
 PICTURE_EVERY = 5  # ticks between two pictures that are kept
@@ -53,10 +52,10 @@ def record_hash(record: Record) -> str:
 
 
 def stretches(record: Record) -> tuple[slice, slice]:
-    """Ticks before the onset, and from it to the end of the disturbance + 5 ticks; undisturbed: all, and none."""
+    """Ticks before the onset, and from it to the end of the disturbance; undisturbed: all, and none."""
     active = record.active > 0.5
     onset = int(np.argmax(active)) if active.any() else len(active)
-    return slice(0, onset), slice(onset, onset + int(active.sum()) + DETECTION_TICKS)
+    return slice(0, onset), slice(onset, onset + int(active.sum()))
 
 
 def record_bytes(record: Record, outcome: Outcome) -> bytes:

@@ -27,7 +27,7 @@ from systems.switched_controller import SwitchedController
 
 # Outputs of the controller that are logged, under their own names.
 LOGGED = ("rnn_step", "regulator_step", "desired_posture", "errors", "hidden_state", "predicted_features")
-JUDGED = ("posture_history", "alpha", "active", "taken", "can_poses")  # looked at in every tick
+JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
 
 class Rollout:
@@ -54,7 +54,7 @@ class Rollout:
             meshcat: where the run is shown.
             video: an .mp4 to write, finished by `self.video.Save()`.
 
-        Raises InputError for networks, camera, world and regulator that do not fit together.
+        Raises InputError for networks, camera and world that do not fit together.
         """
         require_trained_for(world, policy)
         self.world, self.policy = world, policy
@@ -75,7 +75,9 @@ class Rollout:
                 regulator_R=world.regulator.input_weight,
                 joint_lower=lower,
                 joint_upper=upper,
-                speed_limits=speed,
+                speed_limits=speed[:ARM_JOINTS],
+                finger_openings=(world.closed_opening, world.opening),
+                finger_thresholds=(world.close_below, world.open_above),
                 period=world.timing.period,
                 image_width=world.camera.width,
                 image_height=world.camera.height,
@@ -108,7 +110,7 @@ class Rollout:
         self._ports = {
             name: (system, system.GetOutputPort(name))
             for system, name in (
-                (controller, "posture_history"), (controller, "alpha"), (disturbance, "active"),
+                (controller, "measured_posture"), (controller, "alpha"), (disturbance, "active"),
                 (self.can_mover, "taken"), (station, "can_poses"), (station, "rgb_image"), (plant, "state"),
             )
         }  # fmt: skip
@@ -136,8 +138,8 @@ class Rollout:
         self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), given)
         if (used := calibration or self.calibration) is None:
             raise InputError("the detector has no calibration: give one, or run diagrams/baselines.py")
-        self.controller.set_calibration(context, used.reference_errors, used.beta, used.gamma)
-        self.can_mover.set_place(self.can_mover.GetMyMutableContextFromRoot(context), given.can_moved_to)
+        self.controller.set_calibration(context, used.mean_errors, used.beta, used.gamma)
+        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), given)
         return context
 
     def prepare(self, episode: Episode, calibration: Calibration | None = None) -> TaskMonitor:
@@ -146,7 +148,7 @@ class Rollout:
         self.simulator.reset_context(self.create_context(episode, calibration))
         self.simulator.Initialize()
         goal, neighbour = station.spot(episode.vacant), station.spot(other_spot(episode.vacant))
-        return TaskMonitor(goal, neighbour, self.world.initial_posture)
+        return TaskMonitor(goal, neighbour, self.world.initial_posture, self.world.timing.period)
 
     def run(
         self,
@@ -168,22 +170,21 @@ class Rollout:
         """
         started, period = time.perf_counter(), self.world.timing.period
         monitor = self.prepare(episode, calibration)
-        narrator, switching = Narrator(monitor, on_event), Switching(episode.disturbance.kind != "none", period)
+        narrator, switching = Narrator(monitor, on_event), Switching(episode.disturbance.takes_arm, period)
         root = self.simulator.get_context()
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
         judged = [ports[name] for name in JUDGED]
-        unscale, size = self.policy.scaling.unscale, self.policy.posture_size
         rows: dict[str, list] = {name: [] for name in ARRAYS}
-        success = diverged = cut = False
+        success = diverged = cut = can_moved = False
         limit, k = round(time_limit / period), 0
         while k < limit + switching.ticks_disturbed and not success and not cut:
             # To the middle of the tick: its outputs hold from the update to the next one.
             if not self._advance((k + 0.5) * period, *ports["state"]):
                 diverged = True  # what came before is kept
                 break
-            history, alpha, active, taken, cans = [port.Eval(context) for port, context in judged]
-            posture, alpha, active = unscale(history[:size]), float(alpha[0]), bool(active[0] > 0.5)
-            for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans.copy())):
+            posture, alpha, active, taken, cans = [port.Eval(context).copy() for port, context in judged]
+            alpha, active = float(alpha[0]), bool(active[0] > 0.5)
+            for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans)):
                 rows[name].append(value)
             if pictures and k % PICTURE_EVERY == 0:
                 port, context = ports["rgb_image"]
@@ -192,9 +193,11 @@ class Rollout:
             home = bool(monitor.home(posture))
             narrator.see(k * period, posture, alpha, active, taken[0] > 0.5, cans, home)
             switching.see(alpha, active, home)
-            success = home and not active and monitor.success(cans, posture)
-            if until != "task":
-                cut = switching.decided if until == "switching" else switching.detection_over
+            can_moved |= bool(taken[0] > 0.5)
+            success = (
+                home and not active and monitor.success(cans, np.array(rows["posture"]), self.station.finger_gap(root))
+            )
+            cut = switching.over(until)
             k += 1
             if on_tick is not None:
                 on_tick(k)
@@ -202,11 +205,12 @@ class Rollout:
         narrator.say((k - 1) * period, "task done" if success else unfinished)
         arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
         record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
-        outcome = self._outcome(episode, monitor, record, switching, success, diverged)
-        if until != "task":
+        outcome = self._outcome(episode, monitor, record, switching, success, diverged, can_moved)
+        if until != "task":  # what was cut short is not judged
             outcome.success = None
-            if outcome.failure != DIVERGED:
-                outcome.failure = outcome.paper_switch_success = None
+            outcome.failure = outcome.failure if diverged else None
+            outcome.switch_success = outcome.switch_success if until == "switching" else None
+            outcome.paper_switch_success = outcome.paper_switch_success if until == "as_paper" else None
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
@@ -239,14 +243,20 @@ class Rollout:
         switching: Switching,
         success: bool,
         diverged: bool,
+        can_moved: bool,
     ) -> Outcome:
-        period, kind = self.world.timing.period, episode.disturbance.kind
-        failure, switch_failure, as_in_paper = None, switching.failure, switching.as_in_paper
-        if diverged and switch_failure in (None, "not disturbed"):
-            failure, switch_failure, as_in_paper = DIVERGED, DIVERGED, False
-        elif not success:  # what went wrong first
-            first = switch_failure if switch_failure != "not disturbed" else None
-            failure = first or monitor.failure(record.can_poses, record.posture)
+        period, given = self.world.timing.period, episode.disturbance
+        came = not switching.void if given.takes_arm else can_moved or given.kind == "none"
+        void = not came and not diverged  # a run that diverged has failed at both
+        switch_success, as_paper = switching.success, switching.as_paper
+        failure, switch_failure = None, switching.failure
+        if diverged:
+            switch_success = as_paper = False
+            failure = switch_failure = switch_failure if switching.failed is not None else DIVERGED
+        elif not success:
+            failure, when = monitor.failure(record.can_poses, record.posture)
+            failed = len(record.time) - 1 if switching.failed is None else switching.failed
+            failure = switch_failure if switch_failure is not None and failed <= when else failure
 
         def seconds(a: int | None, b: int | None) -> float | None:
             return None if a is None or b is None else (b - a) * period
@@ -255,20 +265,25 @@ class Rollout:
             seed=episode.seed,
             rnn=episode.rnn,
             detector=episode.detector,
-            disturbance=kind,
+            disturbance=given.kind,
             can_xy=(float(episode.can_xy[0]), float(episode.can_xy[1])),
             vacant=episode.vacant,
             picked=bool(lifted(record.can_poses).any()),
-            placed=monitor.placed(record.can_poses[-1]),
+            placed=bool(monitor.placed(record.can_poses[-1])),
             home=bool(monitor.home(record.posture[-1])),
-            success=success,
+            void=void,
+            way_home_clear=episode.way_home_clear,
+            success=None if void else success,
             switched=bool((record.alpha >= GUARD).any()),
             detection_delay_s=seconds(switching.onset, switching.detected),
+            guard_crossings=switching.crossings,
             false_switches=switching.false_switches,
-            returned=None if kind == "none" else switching.home is not None,
-            resumed=None if kind == "none" else switching.resumed is not None,
-            switch_success=switch_failure is None,
-            paper_switch_success=as_in_paper,
+            later_switches=switching.later_switches,
+            needless_s=switching.needless_ticks * period,
+            returned=switching.home is not None if switching.disturbed else None,
+            resumed=switching.resumed is not None if switching.disturbed else None,
+            switch_success=switch_success,
+            paper_switch_success=as_paper,
             alpha_max_before=switching.alpha_max_before,
             return_s=seconds(switching.end, switching.home),
             resume_s=seconds(switching.home, switching.resumed),

@@ -11,7 +11,7 @@ from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS, other_spot
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, MOVED, SPOTS, other_spot
 from diagrams.world.scenario import Scenario
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, subtask_commands
 from models.errors import InputError
@@ -29,6 +29,7 @@ STOP_TICKS = (15, 25)  # inclusive, B
 HELD_TICKS = 10  # A: at the posture it was moved to
 LIMIT_MARGIN = np.deg2rad(2.0)
 CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
+MOVED_BY = (0.03, 0.06)  # how far a can is moved while the hand approaches it, m
 # Seeds of one purpose never meet those of another: see episode_seeds.
 SEED_BASE = {"validation": 1_000_000, "evaluation": 2_000_000}
 SEEDS_APART, SEED_BLOCKS = 10_000, 100
@@ -100,7 +101,8 @@ class EpisodeSampler:
         vacant = sampled_vacant if vacant is None else vacant
         other_spot(vacant)  # there is one
         self.require_reachable(can_xy)
-        return Episode(seed, can_xy, vacant, self._disturbance(experimenter, kind, can_xy, vacant), rnn, detector)
+        disturbance, clear = self._disturbance(experimenter, kind, can_xy, vacant)
+        return Episode(seed, can_xy, vacant, disturbance, rnn, detector, clear)
 
     def episode(self, scenario: Scenario) -> Episode:
         """The episode that `scenario` gives, sampled where it leaves something open.
@@ -119,7 +121,7 @@ class EpisodeSampler:
             )
         if given.can_moved_to is not None:
             self.require_reachable(given.can_moved_to)
-        return replace(episode, disturbance=given)
+        return replace(episode, disturbance=given, way_home_clear=None)
 
     def require_reachable(self, can_xy: Sequence[float]) -> None:
         """Raises InputError unless the hand can hover over, grasp and lift a can at `can_xy` (m, world)."""
@@ -149,24 +151,47 @@ class EpisodeSampler:
             f"raise world.grid.spacing ({self._world.grid.spacing} m) or count ({self._world.grid.count})"
         )
 
-    def _disturbance(self, rng: np.random.Generator, kind: str, can_xy: XY, vacant: str) -> DisturbanceSpec:
+    def _disturbance(
+        self, rng: np.random.Generator, kind: str, can_xy: XY, vacant: str
+    ) -> tuple[DisturbanceSpec, bool | None]:
+        """And whether the straight way home from it is clear; None: the arm is not disturbed."""
         # First what the scene has no say in, so that another can or spot leaves it as it is.
-        subtask = int(rng.integers(1, 3))
+        subtask = int(rng.integers(1, 3)) if kind != MOVED else 1
         hold = int(rng.integers(*STOP_TICKS, endpoint=True))
         taken = subtask == 2 and rng.uniform() < CAN_TAKEN_SHARE
         elsewhere = self.unlearned_position(rng)
         if kind == "none":
-            return DisturbanceSpec()
+            return DisturbanceSpec(), None
+        level = float(rng.uniform(*ONSET_LEVELS[subtask]))
+        if kind == MOVED:
+            return DisturbanceSpec(MOVED, level, subtask=1, can_moved_to=list(self._moved(rng, can_xy))), None
         approach = self._approach(subtask, can_xy, vacant)
-        level, start = self._onset(rng, subtask, approach)
+        start = approach.joints_at(level)
         if kind == "B":
-            return DisturbanceSpec("B", level, None, hold, subtask, list(elsewhere) if taken else None)
-        if kind == "A":
-            return DisturbanceSpec("A", level, self._deflected(rng, start, approach).tolist(), HELD_TICKS, subtask)
-        raise InputError(f"there is no disturbance '{kind}': choose none, A or B")
+            given, left_at = DisturbanceSpec("B", level, None, hold, subtask, list(elsewhere) if taken else None), start
+        elif kind == "A":
+            left_at = self._deflected(rng, start, approach)
+            given = DisturbanceSpec("A", level, left_at.tolist(), HELD_TICKS, subtask)
+        else:
+            raise InputError(f"there is no disturbance '{kind}': choose none, A, B or {MOVED}")
+        if given.can_moved_to is not None:
+            self._checker.set_scene(elsewhere, vacant, self._world.closed_opening)  # it goes home without the can
+        return given, self._checker.path_touches(left_at, self._home) is None
+
+    def _moved(self, rng: np.random.Generator, can_xy: XY) -> XY:
+        """World x, y (m) MOVED_BY from `can_xy`, in the trained positions' convex hull."""
+        for _ in range(10_000):
+            angle, distance = rng.uniform(-np.pi, np.pi), rng.uniform(*MOVED_BY)
+            xy = np.array(can_xy) + distance * np.array([np.cos(angle), np.sin(angle)])
+            if self._trained_area.PointInSet(xy):
+                return float(xy[0]), float(xy[1])
+        raise InputError(
+            f"no place of the trained area is {MOVED_BY[0]} to {MOVED_BY[1]} m from the can at {can_xy}: "
+            "choose another place with --can"
+        )
 
     def _approach(self, subtask: int, can_xy: XY, vacant: str) -> _Approach:
-        self._checker.set_scene(can_xy if subtask == 1 else None, vacant)
+        self._checker.set_scene(can_xy if subtask == 1 else None, vacant, self._world.opening)
         centre = np.array([*can_xy, CAN_HALF_HEIGHT]) if subtask == 1 else self._checker.spot(vacant)
         joints = subtask_commands(self._world, self._hand, centre, subtask)[:, :ARM_JOINTS]
         # Subtask 2 measures from the held can.
@@ -175,21 +200,9 @@ class EpisodeSampler:
         where = f"subtask {subtask} with the can at ({can_xy[0]:.3f}, {can_xy[1]:.3f}) m, the {vacant} spot vacant"
         return _Approach(joints, np.array(distances), where)
 
-    def _onset(self, rng: np.random.Generator, subtask: int, approach: _Approach) -> tuple[float, np.ndarray]:
-        """Level (m) and posture (7,) rad: sampled again until the straight path home from there touches nothing."""
-        for _ in range(100):
-            level = float(rng.uniform(*ONSET_LEVELS[subtask]))
-            start = approach.joints_at(level)
-            if self._checker.path_touches(start, self._home) is None:
-                return level, start
-        raise InputError(
-            f"no moment of {approach.where} leaves a clear path home: choose another place with --can, or other models"
-        )
-
     def _deflected(self, rng: np.random.Generator, start: np.ndarray, approach: _Approach) -> np.ndarray:
-        """(7,) rad: several joints 15 to 40 deg off `start`; sampled again until the paths there and home are clear."""
+        """(7,) rad: several joints 15 to 40 deg off `start`; sampled again until the path there is clear."""
         lower, upper = self._hand.lower + LIMIT_MARGIN, self._hand.upper - LIMIT_MARGIN
-        touches = self._checker.path_touches
         for _ in range(2000):
             count = rng.integers(*DEFLECTED_JOINTS, endpoint=True)
             joints = rng.choice(ARM_JOINTS, size=count, replace=False)
@@ -198,9 +211,9 @@ class EpisodeSampler:
             target = start + offset
             if np.any(target < lower) or np.any(target > upper):
                 continue
-            if touches(start, target) is None and touches(target, self._home) is None:
+            if self._checker.path_touches(start, target) is None:
                 return target
         raise InputError(
-            f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found from which the arm comes "
-            f"home freely, in {approach.where}: give disturbance.target"
+            f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found to which the arm comes "
+            f"freely, in {approach.where}: give disturbance.target"
         )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from diagrams.episodes.calibration import UNFITTED
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
 from diagrams.sweeps.task import Task
 from diagrams.world.configuration import World
@@ -15,6 +16,7 @@ from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
 from models.errors import InputError
 from models.networks import network_label
 from systems.detectors import DETECTORS
+from systems.disturbance import KINDS
 
 
 @dataclass
@@ -25,8 +27,8 @@ class SweepArguments:
     seed: int = 0  # episode i has the same scene and disturbance under every controller
     purpose: Literal["evaluation", "validation"] = "evaluation"  # whose scenes: remedies are chosen on validation
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn, or package.module:Class
-    detector: list[str] = field(default_factory=lambda: ["recall"])  # recall, knn, subspace, or package.module:Class
-    disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B
+    detector: list[str] = field(default_factory=lambda: ["recall"])  # as in the registry, or package.module:Class
+    disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B; moved: the can alone
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
     until: Literal["task", "switching"] = "task"  # switching: ends once that is decided, the task is not judged
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
@@ -44,8 +46,8 @@ class SweepArguments:
             if not getattr(self, name):
                 raise InputError(f"no {name.replace('_', ' ')} given: give one or more")
         for kind in self.disturbance:
-            if kind not in DISTURBANCES:
-                raise InputError(f"there is no disturbance '{kind}': choose from {', '.join(DISTURBANCES)}")
+            if kind not in KINDS:
+                raise InputError(f"there is no disturbance '{kind}': choose from {', '.join(KINDS)}")
         for what, number, least, most in (
             ("number of episodes", self.episodes, 1, SEEDS_APART),
             ("seed", self.seed, 0, SEED_BLOCKS - 1),
@@ -74,7 +76,7 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
 
     folder = arguments.weights
     detectors = _by_label(DETECTORS.label, arguments.detector)
-    names = {ENCODER} | {f"{label}.safetensors" for label in detectors if label != "recall"}
+    names = {ENCODER} | {f"{label}.safetensors" for label in detectors if label not in UNFITTED}
     encoder_hash = Encoder(folder / ENCODER).hash
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
     seeds = episode_seeds(arguments.purpose, arguments.seed, arguments.episodes)
@@ -95,7 +97,8 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
         require_trained_for(world, policy)
         for detector, gamma in itertools.product(detectors.values(), gammas):
             own = stored_calibration(detector, policy, folder, gamma)
-            learned = None if detector == "recall" else learned_hash(folder, detector, policy.hash)
+            fitted = DETECTORS.label(detector) not in UNFITTED
+            learned = learned_hash(folder, detector, policy.hash) if fitted else None
             calibration = None if gamma is None else own
             tasks += [
                 Task(

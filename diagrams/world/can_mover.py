@@ -1,4 +1,4 @@
-"""The can is taken out of the hand, once, in the middle of a tick, and put elsewhere on the desk."""
+"""The can is put elsewhere on the desk, once, in the middle of a tick: out of the hand, or while the hand comes."""
 
 import math
 
@@ -8,7 +8,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import BasicVector, Context, EventStatus, InputPort, LeafSystem, State
 
 from diagrams.world.configuration import Timing
-from diagrams.world.disturbance import CAN_TAKEN_TICKS
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import CAN_HALF_HEIGHT
 
 
@@ -38,7 +38,7 @@ def declare_can_place(plant: MultibodyPlant, can: RigidBody, timing: Timing) -> 
 
 
 class CanMover(LeafSystem):
-    """Says in which tick the can is put elsewhere on the desk: the CAN_TAKEN_TICKS-th of the disturbance.
+    """Says in which tick the can is put elsewhere on the desk: see DisturbanceSpec.
 
     .. pydrake_system::
 
@@ -53,24 +53,31 @@ class CanMover(LeafSystem):
     - `can_place` (2), m, world: in that tick where the can is put, see `declare_can_place`; else NaN.
     - `taken` (1): 1 from that tick on, else 0.
 
-    The place is a parameter of the Context (`set_place`). No state.
+    Place and tick are parameters of the Context (`set_parameters`). No state.
     """
 
     def __init__(self):
         super().__init__()
-        self._place = self.DeclareNumericParameter(BasicVector(np.full(2, np.nan)))
+        self._place = self.DeclareNumericParameter(BasicVector([math.nan] * 2))
+        self._tick = self.DeclareNumericParameter(BasicVector([0.0]))
         self._ticks = self.DeclareVectorInputPort("ticks_since_onset", 1)
         self.DeclareVectorOutputPort("can_place", 2, self._calc_place)
         self.DeclareVectorOutputPort("taken", 1, self._calc_taken)
 
-    def set_place(self, context: Context, place: list[float] | None) -> None:
-        """Where the can is put (2, m, world), in this system's Context; None: it stays."""
+    def set_parameters(self, context: Context, given: DisturbanceSpec) -> None:
+        """Sets, in this system's Context, what happens to the can under `given`."""
+        place = given.can_moved_to
         context.get_mutable_numeric_parameter(self._place).SetFromVector([math.nan] * 2 if place is None else place)
+        context.get_mutable_numeric_parameter(self._tick).SetFromVector([float(given.can_tick)])
+
+    def _since(self, context: Context) -> float:
+        """Ticks since the can was put elsewhere; negative before."""
+        return self._ticks.Eval(context)[0] - context.get_numeric_parameter(self._tick)[0]
 
     def _calc_place(self, context: Context, output: BasicVector) -> None:
-        now = self._ticks.Eval(context)[0] == CAN_TAKEN_TICKS - 1
+        now = self._since(context) == 0.0
         output.SetFromVector(context.get_numeric_parameter(self._place).value() if now else [math.nan] * 2)
 
     def _calc_taken(self, context: Context, output: BasicVector) -> None:
         given = not np.isnan(context.get_numeric_parameter(self._place).value()).any()
-        output[0] = float(given and self._ticks.Eval(context)[0] >= CAN_TAKEN_TICKS - 1)
+        output[0] = float(given and self._since(context) >= 0.0)

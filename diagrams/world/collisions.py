@@ -6,7 +6,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.world.names import CAN_HALF_HEIGHT, CANS, other_spot
+from diagrams.world.configuration import World
+from diagrams.world.names import CAN_HALF_HEIGHT, CAN_RADIUS, CANS, other_spot
 from diagrams.world.station import add_models, can_body, spot_centre
 
 LEAST_SAMPLES = 24  # of a path
@@ -26,7 +27,8 @@ class CollisionChecker:
         self._context = diagram.CreateDefaultContext()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
         self._query = lambda: scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(self._context))
-        self._gap, self._arm = gap, self._plant.GetModelInstanceByName("arm")
+        self._gap = gap
+        self._arm, self._gripper = map(self._plant.GetModelInstanceByName, ("arm", "gripper"))
         inspector = scene_graph.model_inspector()
         self._owner = {}  # name of the model that a shape belongs to
         for shape in inspector.GetAllGeometryIds(Role.kProximity):
@@ -36,9 +38,16 @@ class CollisionChecker:
     def _place(self, can: str, X_WC: RigidTransform) -> None:
         self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, can_body(self._plant, can), X_WC)
 
-    def set_scene(self, can_xy: np.ndarray | tuple[float, float] | None, vacant: str) -> None:
-        """Where the cans stand; `can_xy` (2, m, world) or None: the can is in the hand."""
+    def set_scene(
+        self, can_xy: np.ndarray | tuple[float, float] | None, vacant: str, opening: float = World().opening
+    ) -> None:
+        """Where the cans stand; `can_xy` (2, m, world) or None: the can is in the hand, the fingers closed on it.
+
+        `opening`: of the fingers of the empty hand, m.
+        """
         self._held = can_xy is None
+        gap = 2 * CAN_RADIUS if self._held else opening
+        self._plant.SetPositions(self._plant_context, self._gripper, [0.5 * gap, 0.5 * gap])
         self._place(CANS[1], RigidTransform(self.spot(other_spot(vacant))))
         if can_xy is not None:
             self._place(CANS[0], RigidTransform([*can_xy, CAN_HALF_HEIGHT]))

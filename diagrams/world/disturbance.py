@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagrams.world.names import ARM_JOINTS, DISTURBANCES
+from diagrams.world.names import ARM_JOINTS, MOVED
 from models.errors import InputError
-from systems.disturbance import DisturbanceParameters
+from systems.disturbance import KINDS, DisturbanceParameters
 
 # The can leaves the hand with the fifth tick after the onset: by then the arm stands still.
 CAN_TAKEN_TICKS = 5
@@ -21,12 +21,23 @@ class DisturbanceSpec(DisturbanceParameters):
     """
 
     subtask: int = 1
-    can_moved_to: list[float] | None = None  # B in subtask 2: X Y where the can is put meanwhile, m, world
+    # X Y where the can is put, m, world. B in subtask 2: taken from the hand meanwhile; moved: at once, from the desk.
+    can_moved_to: list[float] | None = None
+
+    @property
+    def takes_arm(self) -> bool:
+        """Whether the arm is disturbed, and not at most the can."""
+        return self.kind not in ("none", MOVED)
+
+    @property
+    def can_tick(self) -> int:
+        """The tick since the onset in which the can is put elsewhere, if it is."""
+        return 0 if self.kind == MOVED else CAN_TAKEN_TICKS - 1
 
     def check(self) -> None:
         """Raises InputError for what makes no disturbance; of a disturbance `none`, nothing else is read."""
-        if self.kind not in DISTURBANCES:
-            raise InputError(f"there is no disturbance '{self.kind}': choose one of {', '.join(DISTURBANCES)}")
+        if self.kind not in KINDS:
+            raise InputError(f"there is no disturbance '{self.kind}': choose one of {', '.join(KINDS)}")
         if self.kind == "none":
             return
         if self.level is None:
@@ -44,12 +55,18 @@ class DisturbanceSpec(DisturbanceParameters):
             words = f"does not fit disturbance {self.kind}: give {wanted} joint angles in rad"
             raise InputError(f"disturbance.target {self.target} {words}")
         if (moved := self.can_moved_to) is None:
+            if self.kind == MOVED:
+                raise InputError(
+                    "disturbance.can_moved_to is missing: give the x and y where the can is put, in metres"
+                )
             return
         if len(moved) != 2 or not np.all(np.isfinite(moved)):
             raise InputError(f"disturbance.can_moved_to {moved} is not two numbers: give x and y in metres")
-        if self.kind != "B" or self.subtask != 2 or self.hold_ticks < CAN_TAKEN_TICKS:
+        taken = self.kind == "B" and self.subtask == 2 and self.hold_ticks >= CAN_TAKEN_TICKS
+        if not taken and (self.kind != MOVED or self.subtask != 1):
             raise InputError(
                 f"disturbance.can_moved_to {moved} moves nothing under {self.kind} in subtask {self.subtask} with "
                 f"hold_ticks {self.hold_ticks}: the can is taken from the hand under B in subtask 2, held for "
-                f"{CAN_TAKEN_TICKS} ticks or more; change these, or leave it out"
+                f"{CAN_TAKEN_TICKS} ticks or more, and moved on the desk under {MOVED} in subtask 1; change these, or "
+                "leave it out"
             )

@@ -2,13 +2,14 @@
 
 from models.command_line import ROOT
 from models.errors import InputError
-from systems.disturbance import KINDS as DISTURBANCES  # noqa: F401 (Sec. IV-B of the paper)
+from systems.disturbance import KINDS
 
+DISTURBANCES, MOVED = KINDS[:3], KINDS[3]  # none, A and B of Sec. IV-B of the paper; the can alone is moved
 ARM_JOINTS = 7
 FINGERS = ("left", "right")  # of the gripper
 SPOTS = ("left", "right")  # on the shelf
 CANS = ("can_to_pick", "can_on_shelf")  # models of sdf/pick_place.dmd.yaml
-CAN_HALF_HEIGHT = 0.05  # m
+CAN_HALF_HEIGHT, CAN_RADIUS = 0.05, 0.0265  # m
 WEIGHTS = ROOT / "models" / "weights"  # the trained networks that ship
 ENCODER, DECODER = "encoder.onnx", "decoder.onnx"  # files of the autoencoder's halves in such a folder
 

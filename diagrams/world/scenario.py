@@ -16,7 +16,7 @@ class Scenario:
     """One episode and its world: what a scenario file can hold."""
 
     rnn: str = "lstm"  # lstm, gru, mtrnn, another file's name, or package.module:Class
-    detector: str = "recall"  # recall, knn, subspace, or package.module:Class
+    detector: str = "recall"  # recall, knn, subspace, never, or package.module:Class
     seed: int = 0  # of the can's position, the vacant spot, and the disturbance's moment and posture
     can: list[float] | None = None  # X Y of the can to pick, m, world; sampled where not given
     vacant: str | None = None  # left or right; sampled where not given

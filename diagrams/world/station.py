@@ -265,6 +265,10 @@ class PickPlaceStation(Diagram):
         plant.SetFloatingBaseBodyPoseInWorldFrame(plant_context, other, RigidTransform(self.spot(other_spot(vacant))))
         self.approach_meter.set_place(self.approach_meter.GetMyMutableContextFromRoot(context), self.spot(vacant))
 
+    def finger_gap(self, context: Context) -> float:
+        """Measured gap of the fingers, m, in a root's Context. Truth: for scoring, never for the controller."""
+        return float(self.plant.GetPositions(self.plant.GetMyContextFromRoot(context), self.gripper).sum())
+
     def spot(self, name: str) -> np.ndarray:
         """See `spot_centre`."""
         return spot_centre(self.plant, name)

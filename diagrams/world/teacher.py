@@ -76,6 +76,7 @@ class Teacher:
         simulator.AdvanceTo(len(actions) * world.timing.period)
         place, neighbour = station.spot(setup.vacant), station.spot(other_spot(setup.vacant))
         cans, posture = (station.GetOutputPort(port).Eval(context) for port in ("can_poses", "posture"))
+        monitor = TaskMonitor(place, neighbour, world.initial_posture, world.timing.period)
         return Recording(
             name=setup.name,
             rgb=np.array(images),
@@ -86,5 +87,5 @@ class Teacher:
             grid_index=setup.grid_index,
             subtask_starts=(0, trajectory.SUBTASK_STEPS[0]),
             split="train" if world.grid.is_training(*setup.grid_index) else "valid",
-            success=TaskMonitor(place, neighbour, world.initial_posture).success(cans, posture),
+            success=monitor.success(cans, np.array([*postures, posture]), station.finger_gap(context)),
         )

@@ -4,7 +4,7 @@ import base64
 import itertools
 import json
 import re
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import CacheIndex
 from pydrake.systems.primitives import VectorLogSink
 
+from diagrams.episodes.calibration import never_fires
 from diagrams.episodes.compatibility import facts, require_trained_for
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import Record
@@ -120,13 +121,15 @@ def test_ticks_are_aligned(undisturbed, policy, world):
 
 def test_command_of_a_tick_is_equation_3(undisturbed, moved_with_the_can, world):
     for run in (undisturbed, moved_with_the_can):
-        record = run.record
-        padded = np.append(np.zeros(8), record.alpha)
-        last = np.lib.stride_tricks.sliding_window_view(padded, 9)  # up to alpha_k
-        # The joints wait for one tick under a low alpha, the fingers for eight.
-        alpha = np.column_stack([last[:, -2:].max(axis=1)] * ARM_JOINTS + [last.max(axis=1)])
-        mixed = record.posture + (1 - alpha) * record.rnn_step + record.regulator_step
-        assert record.desired_posture == pytest.approx(mixed, abs=1e-9)
+        record, joints = run.record, np.s_[:, :ARM_JOINTS]
+        mixed = record.posture + (1 - record.alpha[:, None]) * record.rnn_step + record.regulator_step
+        assert record.desired_posture[joints] == pytest.approx(mixed[joints], abs=1e-9)
+        # The fingers take two values, as predicted, and keep theirs under alpha >= 1/2.
+        command, predicted = record.desired_posture[:, -1], record.posture[:, -1] + record.rnn_step[:, -1]
+        assert np.isin(command.round(9), (world.opening, world.closed_opening)).all()
+        kept = (record.alpha >= 0.5) | ((predicted > 0.045) & (predicted < 0.065))
+        assert np.array_equal(command[kept], record.posture[kept, -1])
+        assert np.array_equal(command[~kept] > 0.055, predicted[~kept] > 0.055)
         pull = -0.1 * (record.posture - world.initial_posture)
         pull[:, -1] = 0.0
         assert record.regulator_step == pytest.approx(pull, abs=1e-6)
@@ -141,10 +144,10 @@ def test_arm_has_followed_the_command_by_the_next_tick(undisturbed):
     assert np.array_equal(record.posture[1:, -1], record.desired_posture[:-1, -1])
 
 
-def test_loop_is_closed_with_alpha_of_the_tick_before(moved_with_the_can, policy):
+def test_loop_is_closed_with_alpha_of_the_tick(moved_with_the_can, policy):
     record, inputs = moved_with_the_can.record, moved_with_the_can.inputs
     assert record.alpha.max() > 0.999
-    share = 1.0 - np.append(0.0, record.alpha[:-1])
+    share = 1.0 - record.alpha
     assert np.array_equal(inputs, record.network_input)
     # The fake sees 1 in its first feature, and predicts 0.
     assert inputs[:, 8] == pytest.approx(share, abs=1e-12)
@@ -196,7 +199,7 @@ def test_robbed_hand_goes_home_and_picks_the_can_up_again(robbed):
     assert_task_done(robbed)
     assert robbed.outcome.switch_success
     words = robbed.words()
-    assert "the can is taken from the hand and put elsewhere on the desk" in words
+    assert "the can is put elsewhere on the desk" in words
     assert words.count("picked; subtask 2: place the can") == 2
     active = np.flatnonzero(robbed.record.active)
     assert np.array_equal(active, np.arange(active[0], active[0] + 20))
@@ -255,7 +258,7 @@ def test_the_can_is_where_it_was_put_at_once(robbed):
     assert before[6] > 0.15
     # One plant step of rest, or of falling within it, at most.
     assert after[:7] == pytest.approx([1, 0, 0, 0, x, y, CAN_HALF_HEIGHT], abs=1e-3)
-    assert robbed.words().index("the can is taken from the hand and put elsewhere on the desk") > 0
+    assert robbed.words().index("the can is put elsewhere on the desk") > 0
 
 
 def test_a_tick_renders_once_where_a_picture_is_needed(rollout, policy, moved_with_the_can):
@@ -267,7 +270,7 @@ def test_a_tick_renders_once_where_a_picture_is_needed(rollout, policy, moved_wi
     context = camera.GetMyMutableContextFromRoot(simulator.get_mutable_context())
     entries = (camera.get_cache_entry(CacheIndex(i)) for i in itertools.count())
     picture = next(entry for entry in entries if "color_image" in entry.description())
-    needed = np.append(True, whole.alpha[:-1] != 1.0)
+    needed = whole.alpha != 1.0
     rendered = np.zeros(len(needed), int)
     steps = round(0.1 / rollout.world.timing.time_step)
     for step in range(steps * len(needed)):  # after each, the plant has moved, and the picture is out of date
@@ -328,11 +331,17 @@ def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkey
 
 
 def test_no_disturbance_came(rollout, policy, encoder):
-    """The moment never comes within the time: said, and not a success of the switching."""
-    episode = Episode(0, CAN, "left", DisturbanceSpec("B", level=0.01, hold_ticks=20))
-    run = Run(rollout, policy, encoder, episode, time_limit=2.0)
-    assert (run.outcome.success, run.outcome.switch_success) == (False, False)
-    assert (run.outcome.switch_failure, run.outcome.returned) == ("not disturbed", False)
+    """The moment never comes within the time: void, neither a success nor a failure."""
+    for given in (
+        DisturbanceSpec("B", level=0.01, hold_ticks=20),
+        DisturbanceSpec("moved", level=0.01, can_moved_to=[0.5, 0.0]),
+    ):
+        outcome = Run(rollout, policy, encoder, Episode(0, CAN, "left", given), time_limit=2.0).outcome
+        assert (outcome.void, outcome.success, outcome.switch_failure) == (True, None, None)
+        assert (outcome.switch_success, outcome.paper_switch_success) == (
+            (None, None) if given.takes_arm else (True, True)
+        )
+        assert outcome.returned is (False if given.takes_arm else None)
 
 
 def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, moved_before_the_grasp):
@@ -344,28 +353,38 @@ def test_time_disturbed_is_added_to_the_limit(rollout, policy, encoder, moved_be
     assert run.outcome.sim_seconds == pytest.approx(14.0 + 0.1 * (resumed - onset))
 
 
-def test_a_run_for_the_detection_alone_ends_soon_after_the_disturbance(rollout, policy, moved_before_the_grasp):
+def test_a_run_for_the_detection_alone_ends_with_the_disturbance(rollout, policy, moved_before_the_grasp):
     whole = moved_before_the_grasp
     policy.learn(whole.episode)
     outcome, record = rollout.run(whole.episode, until="detection")
-    assert (outcome.success, outcome.failure) == (None, None)
+    assert (outcome.success, outcome.failure, outcome.switch_success, outcome.paper_switch_success) == (None,) * 4
     end = np.flatnonzero(whole.record.active)[-1] + 1
-    assert len(record.time) == end + 5
-    assert np.array_equal(record.errors, whole.record.errors[: end + 5])
+    assert len(record.time) == end + 1
+    assert np.array_equal(record.errors, whole.record.errors[: end + 1])
 
 
-def test_a_run_for_the_switching_alone_ends_once_it_is_decided(rollout, policy, moved_before_the_grasp):
+def test_a_run_for_the_switching_alone_goes_on_to_the_end_unless_it_failed(rollout, policy, moved_before_the_grasp):
     whole = moved_before_the_grasp
     policy.learn(whole.episode)
     outcome, record = rollout.run(whole.episode, until="switching")
     assert (outcome.success, outcome.failure, outcome.paper_switch_success) == (None, None, None)
     assert (whole.outcome.success, whole.outcome.paper_switch_success) == (True, True)
-    for name in ("switch_success", "detection_delay_s", "return_s", "resume_s", "switch_failure"):
+    for name in ("switch_success", "detection_delay_s", "return_s", "resume_s", "switch_failure", "sim_seconds"):
         assert getattr(outcome, name) == getattr(whole.outcome, name)
+    assert np.array_equal(record.errors, whole.record.errors)
+    # With a detector that never fires it has failed at the end of the disturbance.
+    policy.learn(whole.episode)
+    outcome, record = rollout.run(whole.episode, until="switching", calibration=never_fires(11))
+    assert (outcome.switch_success, outcome.switch_failure) == (False, "not detected")
+    assert len(record.time) == np.flatnonzero(record.active)[-1] + 2
+
+
+def test_a_run_for_the_paper_s_words_ends_with_the_resumption(rollout, policy, moved_before_the_grasp):
+    whole = moved_before_the_grasp
+    policy.learn(whole.episode)
+    outcome, record = rollout.run(whole.episode, until="as_paper")
+    assert (outcome.success, outcome.switch_success, outcome.paper_switch_success) == (None, None, True)
     assert record.alpha[-1] <= 0.1 < record.alpha[-2]
-    ticks = len(record.time)
-    assert ticks < len(whole.record.time)
-    assert np.array_equal(record.errors, whole.record.errors[:ticks])
 
 
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
@@ -423,13 +442,6 @@ def test_pictures_are_kept_where_asked_for(rollout, policy, undisturbed):
     assert record.pictures.dtype == np.uint8
     assert record.posture.tobytes() == undisturbed.record.posture[:12].tobytes()
     assert len(undisturbed.record.pictures) == 0
-
-
-def test_another_gain_than_the_trained_one_is_refused(encoder, policy):
-    world = World()
-    world.regulator = replace(world.regulator, input_weight=10.0)
-    with pytest.raises(ValueError, match=r"was trained with 0\.1"):
-        Rollout(world, encoder, policy)
 
 
 def test_replay_and_film_are_written(world, encoder, policy, tmp_path):

@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 
-from diagrams.episodes.sampling import LIMIT_MARGIN, ONSET_LEVELS, SEED_BASE, STOP_TICKS, EpisodeSampler, episode_seeds
+from diagrams.episodes.sampling import (
+    LIMIT_MARGIN,
+    MOVED_BY,
+    ONSET_LEVELS,
+    SEED_BASE,
+    STOP_TICKS,
+    EpisodeSampler,
+    episode_seeds,
+)
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import Grid, World
-from diagrams.world.names import CAN_HALF_HEIGHT, SPOTS
+from diagrams.world.names import CAN_HALF_HEIGHT, DISTURBANCES, MOVED, SPOTS
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, subtask_commands
 from models.errors import InputError
 
@@ -14,7 +22,7 @@ from models.errors import InputError
 @pytest.fixture(scope="module")
 def episodes(sampler):
     """A few of each kind."""
-    return {kind: [sampler.sample(seed, kind) for seed in range(10)] for kind in ("none", "A", "B")}
+    return {kind: [sampler.sample(seed, kind) for seed in range(12)] for kind in (*DISTURBANCES, MOVED)}
 
 
 def every(episodes):
@@ -44,13 +52,13 @@ def test_same_seed_same_episode(sampler, episodes):
 
 
 def test_seeds_differ(episodes):
-    assert len({episode.can_xy for episode in episodes["none"]}) == 10
+    assert len({episode.can_xy for episode in episodes["none"]}) == 12
     assert {episode.vacant for episode in episodes["none"]} == set(SPOTS)
 
 
 def test_scene_does_not_depend_on_the_disturbance(episodes):
-    for none, a, b in zip(*episodes.values(), strict=True):
-        assert (none.can_xy, none.vacant) == (a.can_xy, a.vacant) == (b.can_xy, b.vacant)
+    for same in zip(*episodes.values(), strict=True):
+        assert len({(episode.can_xy, episode.vacant) for episode in same}) == 1
 
 
 def test_bounds_of_the_disturbance(episodes):
@@ -64,7 +72,7 @@ def test_bounds_of_the_disturbance(episodes):
         if given.kind == "A":
             assert given.hold_ticks == 10
             assert given.can_moved_to is None
-        else:
+        elif given.kind == "B":
             assert STOP_TICKS[0] <= given.hold_ticks <= STOP_TICKS[1]
             assert given.target is None
             assert given.can_moved_to is None or given.subtask == 2
@@ -82,8 +90,30 @@ def posture_at_onset(world, hand, station, episode):
     return rows[np.argmax(np.array(distances) < given.level), :7]
 
 
+def test_a_moved_can_stays_in_reach_of_what_was_taught(sampler, episodes):
+    for episode in episodes[MOVED]:
+        given = episode.disturbance
+        given.check()
+        assert (given.subtask, given.takes_arm, given.can_tick, episode.way_home_clear) == (1, False, 0, None)
+        sampler.require_reachable(given.can_moved_to)
+        assert MOVED_BY[0] <= np.hypot(*np.subtract(given.can_moved_to, episode.can_xy)) <= MOVED_BY[1]
+    moves = np.array([np.subtract(e.disturbance.can_moved_to, e.can_xy) for e in episodes[MOVED]])
+    assert (moves.min(axis=0) < -0.01).all()  # in all directions
+    assert (moves.max(axis=0) > 0.01).all()
+
+
+def way_home_touches(checker, world, episode, left_at):
+    """What the straight way home touches, the fingers as wide open as they are then."""
+    given = episode.disturbance
+    if given.can_moved_to is not None:  # closed, the can elsewhere
+        checker.set_scene(given.can_moved_to, episode.vacant, 0.03)
+    else:
+        checker.set_scene(episode.can_xy if given.subtask == 1 else None, episode.vacant, 0.08)
+    return checker.path_touches(left_at, world.initial_posture[:7])
+
+
 def test_targets_are_off_the_path_and_within_limits(episodes, world, hand, station):
-    checker, home = CollisionChecker(), world.initial_posture[:7]
+    checker = CollisionChecker()
     for episode in episodes["A"]:
         given = episode.disturbance
         target, start = np.array(given.target), posture_at_onset(world, hand, station, episode)
@@ -94,17 +124,31 @@ def test_targets_are_off_the_path_and_within_limits(episodes, world, hand, stati
         assert np.all((moved >= 15.0 - 1e-6) & (moved <= 40.0 + 1e-6))
         checker.set_scene(episode.can_xy if given.subtask == 1 else None, episode.vacant)
         assert checker.path_touches(start, target) is None
-        assert checker.path_touches(target, home) is None
+        assert episode.way_home_clear == (way_home_touches(checker, world, episode, target) is None)
 
 
-def test_stopping_place_has_a_clear_path_home(episodes, world, hand, station):
-    checker, home = CollisionChecker(), world.initial_posture[:7]
-    for episode in episodes["B"]:
-        checker.set_scene(episode.can_xy if episode.disturbance.subtask == 1 else None, episode.vacant)
-        assert checker.path_touches(posture_at_onset(world, hand, station, episode), home) is None
+def test_a_way_home_that_touches_something_is_kept_and_said(sampler, world, hand, station):
+    checker, clear = CollisionChecker(), []
+    for seed in range(40):
+        episode = sampler.sample(seed, "B")
+        touched = way_home_touches(checker, world, episode, posture_at_onset(world, hand, station, episode))
+        assert episode.way_home_clear == (touched is None)
+        clear.append(episode.way_home_clear)
+    assert 0.5 < np.mean(clear) < 1.0  # some of both
 
 
-@pytest.mark.parametrize("kind", ["none", "A", "B"])
+def test_no_way_home_is_a_reason_to_draw_again(sampler, world, monkeypatch):
+    drawn = [sampler.sample(seed, kind) for kind in "AB" for seed in range(4)]
+    home, touches = world.initial_posture[:7], CollisionChecker.path_touches
+    monkeypatch.setattr(
+        CollisionChecker, "path_touches", lambda self, a, b: "desk" if np.array_equal(b, home) else touches(self, a, b)
+    )
+    blocked = [sampler.sample(seed, kind) for kind in "AB" for seed in range(4)]
+    assert [episode.disturbance for episode in blocked] == [episode.disturbance for episode in drawn]
+    assert not any(episode.way_home_clear for episode in blocked)
+
+
+@pytest.mark.parametrize("kind", DISTURBANCES)
 def test_another_can_or_spot_leaves_the_other_samples(sampler, episodes, kind):
     for seed, sampled in enumerate(episodes[kind][:6]):
         other_spot = next(spot for spot in SPOTS if spot != sampled.vacant)
@@ -152,16 +196,11 @@ def test_seeds_beyond_their_purpose_are_refused(seed, count, named):
         episode_seeds("validation", seed, count)
 
 
-def test_a_scene_that_leaves_no_path_home_is_named(sampler, world, monkeypatch):
-    monkeypatch.setattr(CollisionChecker, "path_touches", lambda *_: "desk")
-    with pytest.raises(InputError, match=r"no moment of subtask [12] with the can at .* clear path home: choose"):
-        sampler.sample(0, "B")
-    sampler.sample(0, "none")  # undisturbed, the arm has no path home to keep clear
-    # Only paths home are clear.
-    home = world.initial_posture[:7]
-    monkeypatch.setattr(CollisionChecker, "path_touches", lambda _, a, b: None if np.array_equal(b, home) else "shelf")
+def test_a_scene_that_leaves_no_way_to_a_posture_is_named(sampler, monkeypatch):
+    monkeypatch.setattr(CollisionChecker, "path_touches", lambda *_: "shelf")
     with pytest.raises(InputError, match=r"no posture 15 to 40 deg off .* give disturbance\.target"):
         sampler.sample(0, "A")
+    sampler.sample(0, "B")  # stopped where it is
 
 
 def test_long_paths_are_looked_at_every_degree(world, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from diagrams.world.can_mover import CanMover
-from diagrams.world.disturbance import CAN_TAKEN_TICKS
+from diagrams.world.disturbance import CAN_TAKEN_TICKS, DisturbanceSpec
 from diagrams.world.names import CAN_HALF_HEIGHT, CANS
 from diagrams.world.station import can_body
 
@@ -54,7 +54,14 @@ def test_the_can_is_put_there_in_the_middle_of_the_tick(station, tick):
     assert np.array_equal(state(station, simulator), expected)
 
 
-def test_it_is_taken_in_the_fifth_tick_of_the_disturbance():
+@pytest.mark.parametrize(
+    ("given", "tick"),
+    [
+        (DisturbanceSpec("B", 0.1, hold_ticks=9, subtask=2, can_moved_to=PLACE), CAN_TAKEN_TICKS - 1),
+        (DisturbanceSpec("moved", 0.1, can_moved_to=PLACE), 0),
+    ],
+)
+def test_it_is_taken_in_the_fifth_tick_of_the_stop_and_moved_in_the_first(given, tick):
     mover = CanMover()
     context = mover.CreateDefaultContext()
 
@@ -62,15 +69,16 @@ def test_it_is_taken_in_the_fifth_tick_of_the_disturbance():
         mover.get_input_port().FixValue(context, [ticks])
         return mover.GetOutputPort("can_place").Eval(context).tolist(), mover.GetOutputPort("taken").Eval(context)[0]
 
-    assert outputs(CAN_TAKEN_TICKS - 1)[1] == 0.0
-    assert np.isnan(outputs(CAN_TAKEN_TICKS - 1)[0]).all()  # without a place
-    mover.set_place(context, PLACE)
     assert CAN_TAKEN_TICKS == 5
-    for ticks in (-1, 0, 3):
+    for ticks in range(-1, 7):  # without a place
+        assert outputs(ticks)[1] == 0.0
+        assert np.isnan(outputs(ticks)[0]).all()
+    mover.set_parameters(context, given)
+    for ticks in range(-1, tick):
         assert np.isnan(outputs(ticks)[0]).all()
         assert outputs(ticks)[1] == 0.0
-    assert outputs(4) == (PLACE, 1.0)
-    assert np.isnan(outputs(5)[0]).all()
-    assert outputs(5)[1] == 1.0
-    mover.set_place(context, None)
-    assert outputs(5)[1] == 0.0
+    assert outputs(tick) == (PLACE, 1.0)
+    assert np.isnan(outputs(tick + 1)[0]).all()
+    assert outputs(tick + 1)[1] == 1.0
+    mover.set_parameters(context, DisturbanceSpec())
+    assert outputs(tick + 1)[1] == 0.0

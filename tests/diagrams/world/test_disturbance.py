@@ -16,6 +16,8 @@ TARGET = [0.5] * 7
         DisturbanceSpec("A", level=0.1, target=TARGET),
         DisturbanceSpec("B", level=0.1, hold_ticks=1),
         DisturbanceSpec("B", level=0.1, hold_ticks=5, subtask=2, can_moved_to=[0.5, 0.0]),
+        DisturbanceSpec("moved"),
+        DisturbanceSpec("moved", level=0.1, can_moved_to=[0.5, 0.0]),
         DisturbanceSpec("none", level=-1.0),  # nothing else of it is read
     ],
 )
@@ -44,6 +46,12 @@ def test_disturbances(given):
             DisturbanceSpec("B", level=0.1, hold_ticks=4, subtask=2, can_moved_to=[0.5, 0.0]),
             "moves nothing .* hold_ticks 4",
         ),
+        (DisturbanceSpec("moved", level=0.1), "can_moved_to is missing"),
+        (
+            DisturbanceSpec("moved", level=0.1, subtask=2, can_moved_to=[0.5, 0.0]),
+            "moves nothing under moved in subtask 2",
+        ),
+        (DisturbanceSpec("moved", level=0.1, target=TARGET, can_moved_to=[0.5, 0.0]), "give 0 joint angles"),
         (
             DisturbanceSpec("A", level=0.1, target=TARGET, hold_ticks=5, subtask=2, can_moved_to=[0.5, 0.0]),
             "moves nothing under A",

@@ -122,6 +122,17 @@ def test_hand_at_a_can_touches_it(checker, hand):
     assert checker.first_touch(hand.solve_ik(np.array([0.5, 0.03, 0.07]))) is None
 
 
+def test_fingers_are_as_far_open_as_they_are(checker, hand):
+    # The can's edge is 26.5 mm from its axis, the open fingers reach 40 mm and their thickness from the hand's.
+    beside = hand.solve_ik(np.array([0.5, -0.085, 0.06]))
+    for opening, touched in ((0.08, "can_to_pick"), (0.03, None)):
+        checker.set_scene((0.5, 0.0), "left", opening)
+        assert checker.first_touch(beside) == touched
+    # On the can that they hold they are as wide as it.
+    checker.set_scene(None, "left")
+    assert checker._plant.GetPositions(checker._plant_context, checker._gripper).tolist() == [0.0265, 0.0265]
+
+
 def test_held_can_counts_as_the_hand(checker, hand, station):
     above = hand.solve_ik(station.spot("left") + [0, 0, 0.06])
     low = hand.solve_ik(station.spot("left") + [0, 0, 0.01 - 0.015])
@@ -138,7 +149,7 @@ def test_path_through_something_is_seen(checker, hand, world):
     checker.set_scene((0.5, 0.0), "left")
     touches = checker.path_touches
     assert touches(home, hand.solve_ik(np.array([0.6, -0.05, 0.25]))) is None
-    beyond = hand.solve_ik(np.array([0.5, -0.09, 0.06])), hand.solve_ik(np.array([0.5, 0.09, 0.06]))
+    beyond = hand.solve_ik(np.array([0.5, -0.11, 0.06])), hand.solve_ik(np.array([0.5, 0.11, 0.06]))
     assert checker.first_touch(beyond[0]) is None
     assert checker.first_touch(beyond[1]) is None
     assert touches(*beyond) == "can_to_pick"
