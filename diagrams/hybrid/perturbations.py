@@ -18,7 +18,7 @@ import numpy as np
 from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.record import Record
 from diagrams.episodes.sampling import LIMIT_MARGIN, ONSET_LEVELS
-from diagrams.episodes.switching import DEFEATS, DETECTION_TICKS, GUARD, RESUME_SECONDS
+from diagrams.episodes.switching import DEFEATS, GUARD, RESUME_SECONDS
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import CAN_TAKEN_TICKS, DisturbanceSpec
@@ -150,7 +150,7 @@ def judge(
     margins = [1.0]
     active = np.flatnonzero(record.active)
     if len(active):
-        until = active[-1] + 1 + DETECTION_TICKS
+        until = active[-1] + 1
         worst = record.errors.max(axis=1)
         margins.append(_decades(worst[active[0] : until].max(), gamma))
         # How near the recall came to fitting again before the arm was at home.
@@ -160,7 +160,7 @@ def judge(
             first = int(away[away >= active[0]][0])
             margins.append(_decades(worst[first : home + 1].min(), gamma))
     if outcome.detection_delay_s is not None:
-        margins.append(1.0 - outcome.detection_delay_s / ((perturbation.ticks + DETECTION_TICKS) * period))
+        margins.append(1.0 - outcome.detection_delay_s / (perturbation.ticks * period))
     if outcome.resume_s is not None:
         margins.append(1.0 - outcome.resume_s / RESUME_SECONDS)
     return None, 1.0 + float(np.clip(min(margins), 0.0, 1.0))
