@@ -36,7 +36,7 @@ class Narrator:
         """One tick: `posture` (8,), `cans` (14,); whether the arm is disturbed, the can was taken, the arm is home."""
         monitor = self._monitor
         held = bool(monitor.held(cans, posture))
-        placed = monitor.placed(cans)
+        placed = bool(monitor.placed(cans))
         returning = alpha >= GUARD or (self._was.get("returning", False) and alpha > RESUMED)
         for name, now, begins, ends in (
             ("taken", taken, "the can is put elsewhere on the desk", None),

@@ -27,7 +27,7 @@ TASK_FAILURES = ("can toppled", "missed grasp", "misplaced", "neighbour moved", 
 
 
 def tilt(can_pose: np.ndarray) -> np.ndarray:
-    """Angle of a can's axis to the vertical, rad (...), of its pose (..., 7): quaternion wxyz (any length), position."""
+    """Angle of a can's axis to the vertical, rad (...), of its pose (..., 7): quaternion wxyz, position."""
     across = (can_pose[..., 1:3] ** 2).sum(axis=-1) / (can_pose[..., :4] ** 2).sum(axis=-1)
     return np.arccos(np.clip(1.0 - 2.0 * across, -1.0, 1.0))
 

@@ -48,7 +48,7 @@ def test_disturbances(given):
         ),
         (DisturbanceSpec("moved", level=0.1), "can_moved_to is missing"),
         (
-            DisturbanceSpec("moved", level=0.1, subtask=2, can_moved_to=[0.5, 0.0]),
+            DisturbanceSpec("moved", 0.1, subtask=2, can_moved_to=[0.5, 0.0]),
             "moves nothing under moved in subtask 2",
         ),
         (DisturbanceSpec("moved", level=0.1, target=TARGET, can_moved_to=[0.5, 0.0]), "give 0 joint angles"),
