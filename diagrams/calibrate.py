@@ -1,27 +1,35 @@
-"""Selects a trained network by closed-loop rollouts on validation scenes, and calibrates its detector there.
+"""Selects a trained network by closed-loop rollouts on validation scenes, and calibrates its detector on others.
 
     python diagrams/calibrate.py --candidates runs/lstm/policy-*.onnx --out models/weights/lstm.onnx
 
-1. Each candidate runs undisturbed validation episodes with the detector off; those that finish most go on.
-2. References and gamma come from those runs and from disturbed ones: see by_spread in diagrams/episodes/thresholds.py.
-3. If several go on, the one that finishes most disturbed validation episodes with its calibration (then: fastest
-   undisturbed) is taken.
+1. Each candidate runs --episodes undisturbed validation episodes of --seed with the detector off; those that finish
+   most go on. Of several, the one is taken that finishes most disturbed ones too (then: fastest undisturbed), its gamma
+   the largest score of the undisturbed.
+2. The mean errors come from those undisturbed runs, gamma from --runs others, of --calibration-seed, on which nothing
+   was trained or selected: split conformal, see `conformal` in diagrams/episodes/thresholds.py. None is left out.
+3. Disturbed runs of that seed say how many are missed at gamma, and whether a gamma bounds both.
 
 Exit code 2: bad input.
 """
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import tyro
 
 from diagrams.episodes.calibration import Calibration, Controller, never_fires
+from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
-from diagrams.episodes.thresholds import by_spread
+from diagrams.episodes.sampling import episode_seeds
+from diagrams.episodes.store import RowStore
+from diagrams.episodes.switching import DETECTED
+from diagrams.episodes.thresholds import ValidationRun, conformal, mean_errors, misses, scores, spans
 from diagrams.episodes.validation import Validation, tally
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
-from models.command_line import require_writable, run
+from models.command_line import require, require_writable, run
 from models.errors import InputError
 
 BETA = 30.0  # the paper's
@@ -35,10 +43,33 @@ class CalibrateArguments:
     out: Path  # the calibrated copy of the best one
     scenario: Path | None = None  # YAML file whose world the episodes run in
     encoder: Path = WEIGHTS / ENCODER  # file of the encoder
-    episodes: int = 20  # undisturbed validation episodes a candidate
-    disturbed: int = 24  # validation episodes of each of A and B
-    seed: int = 0  # 0 to 99: which validation episodes
+    episodes: int = (
+        20  # undisturbed validation episodes a candidate, and disturbed ones of each of A and B if it's close
+    )
+    runs: int = 300  # undisturbed validation episodes for gamma
+    disturbed: int = 100  # validation episodes of each of A and B for the misses
+    delta: float = 0.01  # share of undisturbed runs with a false alarm, at most, as far as --runs allows to say it
+    seed: int = 0  # 0 to 99: which validation episodes select the network and give its mean errors
+    calibration_seed: int = 2  # 0 to 99: which validation episodes give gamma
+    kept: Path = Path("outputs/calibration")  # folder of the finished episodes: the same command goes on after a kill
     workers: int = 2  # processes
+
+    def check(self) -> None:
+        """Raises InputError for a value outside its choices."""
+        require_writable(self.out)
+        if not self.candidates:
+            raise InputError("no candidate is given: give --candidates one file or more")
+        for name in ("episodes", "runs", "disturbed"):
+            if (value := getattr(self, name)) < 1:
+                raise InputError(f"--{name} {value} is too small: choose 1 or more")
+        if not 0.0 < self.delta < 1.0:
+            raise InputError(f"--delta {self.delta} is no share: choose one between 0 and 1, such as 0.01")
+        for seed, count in ((self.seed, self.episodes), (self.calibration_seed, max(self.runs, self.disturbed))):
+            episode_seeds("validation", seed, count)  # there are some
+        if self.seed == self.calibration_seed:
+            raise InputError(
+                f"--seed and --calibration-seed are both {self.seed}: nothing may be selected on the other's"
+            )
 
 
 def parse(arguments: list[str] | None = None) -> CalibrateArguments:
@@ -48,51 +79,80 @@ def parse(arguments: list[str] | None = None) -> CalibrateArguments:
 
 def main(arguments: CalibrateArguments) -> int:
     """Writes `arguments.out`; returns the exit code."""
-    require_writable(arguments.out)
-    if not arguments.candidates:
-        raise InputError("no candidate is given: give --candidates one file or more")
+    arguments.check()
+    require("scipy")
+    from models.files.container import file_hash
     from models.files.policies import read_policy, write_policy
     from models.inference import Policy
 
     world = load_world(arguments.scenario)
     off = {path: Controller(path, calibration=never_fires(Policy(path).horizon + 1)) for path in arguments.candidates}
-    counts = dict.fromkeys("AB", arguments.disturbed)
-    with Pool(arguments.workers) as pool:
-        validation = Validation(pool, world, arguments.encoder, arguments.seed)
-        undisturbed, tallies = {}, {}
-        for path, controller in off.items():
-            undisturbed[path] = validation.run(controller, {"none": arguments.episodes})["none"]
-            tallies[path] = {"none": tally(f"{path.name}, none", undisturbed[path])}
-        most = max(entry["none"]["successes"] for entry in tallies.values())
-        if not most:
-            raise InputError(f"no candidate finished one of {arguments.episodes} tasks: train longer, then calibrate")
-        finalists = [path for path, entry in tallies.items() if entry["none"]["successes"] == most]
-        scores, found = {}, {}
-        for path in finalists:
-            thresholds = found[path] = by_spread(undisturbed[path], validation.run(off[path], counts))
-            print(f"{path.name}, {thresholds.words()}", flush=True)
-            if len(finalists) > 1:
-                calibration = Calibration(tuple(thresholds.reference_errors), BETA, thresholds.gamma)
-                disturbed = validation.run(Controller(path, calibration=calibration), counts, "task")
-                tallies[path] |= {kind: tally(f"{path.name}, {kind}", runs) for kind, runs in disturbed.items()}
-            recoveries = sum(entry["successes"] for kind, entry in tallies[path].items() if kind != "none")
-            scores[path] = recoveries, -tallies[path]["none"]["mean_seconds"]
-    chosen = max(finalists, key=lambda path: scores[path])
-    thresholds, (facts, graph) = found[chosen], read_policy(chosen)
+    rooms = [f"diagrams/episodes/{name}.py" for name in ("thresholds", "validation")]
+    made_with = fingerprint(world, *rooms, encoder=file_hash(arguments.encoder))
+    with Pool(arguments.workers) as pool, RowStore(arguments.kept / f"{arguments.out.stem}.jsonl", made_with) as store:
+        selecting, calibrating = (
+            Validation(pool, world, arguments.encoder, seed, store)
+            for seed in (arguments.seed, arguments.calibration_seed)
+        )
+        chosen, normal, tallies = select(off, selecting, arguments.episodes)
+        counts = {"none": arguments.runs} | dict.fromkeys("AB", arguments.disturbed)
+        runs = calibrating.run(off[chosen], counts)
+    means = mean_errors(normal)
+    found = {"none": scores([run.before for run in runs["none"]], means)}
+    found |= {kind: scores([run.after for run in runs[kind]], means) for kind in "AB"}
+    gamma = conformal(found["none"], arguments.delta)
+    # How far above gamma an error is at which alpha counts as noticed.
+    margin = float(np.log(DETECTED / (1.0 - DETECTED)) / BETA)
+    missed = {kind: misses(found[kind], gamma.gamma, margin, arguments.delta) for kind in "AB"}
+    words = [gamma.words(), *(part.words(kind, gamma.gamma) for kind, part in missed.items())]
+    print(f"{chosen.name}, largest error by its mean: {spans(found)}", *words, sep="\n", flush=True)
+    facts, graph = read_policy(chosen)
     notes = {
         "chosen": chosen.name,
         "selection": {f"{path.parent.name}/{path.name}": entry for path, entry in tallies.items()},
-        "validation_seed": undisturbed[chosen][0].outcome.seed,
-        "normal_peaks": thresholds.normal.tolist(),
-        "disturbed_peaks": {kind: peaks.tolist() for kind, peaks in thresholds.disturbed.items()},
+        "seeds": {"selection and mean errors": arguments.seed, "gamma": arguments.calibration_seed},
+        "undisturbed": tally(f"{chosen.name}, none, for gamma", runs["none"]),
+        "scores": {kind: np.sort(part).tolist() for kind, part in found.items()},
+        "gamma": {"rank": gamma.rank, "runs": gamma.n, "average": gamma.average, "share": gamma.share},
+        "missed": {kind: vars(part) for kind, part in missed.items()},
+        "words": words,
     }
-    calibrated = replace(
-        facts, mean_errors=thresholds.mean_errors, reference_errors=thresholds.reference_errors, beta=BETA,
-        gamma=thresholds.gamma, metadata={**facts.metadata, "calibration": notes},
-    )  # fmt: skip
+    metadata = {**facts.metadata, "calibration": notes}
+    calibrated = replace(facts, mean_errors=means, beta=BETA, gamma=gamma.gamma, metadata=metadata)
     write_policy(arguments.out, calibrated, graph.content)
     print(f"{chosen.name} is taken; written: {arguments.out}")
     return 0
+
+
+def select(
+    off: dict[Path, Controller], validation: Validation, episodes: int
+) -> tuple[Path, list[ValidationRun], dict[Path, dict[str, Any]]]:
+    """The best of the candidates, its undisturbed runs, and how the tasks of each went, by kind of disturbance.
+
+    `off`: each with its detector off. Raises InputError where none finishes a task.
+    """
+    undisturbed, tallies = {}, {}
+    for path, controller in off.items():
+        undisturbed[path] = validation.run(controller, {"none": episodes})["none"]
+        tallies[path] = {"none": tally(f"{path.name}, none", undisturbed[path])}
+    most = max(entry["none"]["successes"] for entry in tallies.values())
+    if not most:
+        raise InputError(f"no candidate finished one of {episodes} tasks: train longer, then calibrate")
+    finalists = [path for path, entry in tallies.items() if entry["none"]["successes"] == most]
+    if len(finalists) > 1:
+        for path in finalists:
+            means = mean_errors(undisturbed[path])
+            gamma = float(scores([run.before for run in undisturbed[path]], means).max())
+            controller = Controller(path, calibration=Calibration(tuple(means), BETA, gamma))
+            disturbed = validation.run(controller, dict.fromkeys("AB", episodes), "task")
+            tallies[path] |= {kind: tally(f"{path.name}, {kind}", runs) for kind, runs in disturbed.items()}
+
+    def score(path: Path) -> tuple[int, float]:
+        recoveries = sum(entry["successes"] for kind, entry in tallies[path].items() if kind != "none")
+        return recoveries, -tallies[path]["none"]["mean_seconds"]
+
+    chosen = max(finalists, key=score)
+    return chosen, undisturbed[chosen], tallies
 
 
 if __name__ == "__main__":

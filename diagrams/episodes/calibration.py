@@ -16,7 +16,7 @@ from systems.detector import NEVER
 from systems.detectors import DETECTORS
 
 RECALL = "recall"  # the detector whose calibration is in the policy's own file
-UNFITTED = (RECALL, "never")  # detectors without a file: they learn nothing
+UNFITTED = {RECALL, "never"}  # detectors without a file: they learn nothing
 
 
 @dataclass(frozen=True)

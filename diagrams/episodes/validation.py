@@ -1,5 +1,6 @@
 """Validation episodes, on which networks are chosen and detectors calibrated. Their seeds are no evaluation's."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,20 +13,23 @@ from diagrams.episodes.episode import Outcome
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.sampling import episode_seeds
+from diagrams.episodes.store import RowStore
 from diagrams.episodes.switching import Until
 from diagrams.episodes.thresholds import ValidationRun
 from diagrams.world.configuration import World
+from models.files.container import file_hash
 from systems.detectors import DETECTORS
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Runs the validation episodes of one `seed` (0 to 99) over `pool`."""
+    """Runs the validation episodes of one `seed` (0 to 99) over `pool`, those that are not in `store` yet."""
 
     pool: Pool
     world: World
     encoder: Path
     seed: int
+    store: RowStore | None = None  # of this world and encoder, and of detectors that learned nothing
 
     def run(
         self, controller: Controller, counts: Mapping[str, int], until: Until | None = None
@@ -37,6 +41,7 @@ class Validation:
         """
         from tqdm import tqdm
 
+        rows = self.store.rows if self.store else {}
         seeds = episode_seeds("validation", self.seed, max(counts.values()))
         ends = {kind: until or ("task" if kind == "none" else "detection") for kind in counts}
         jobs = [
@@ -44,10 +49,21 @@ class Validation:
             for kind, count in counts.items()
             for seed in seeds[:count]
         ]
+        known = file_hash(controller.policy) if self.store else "", repr(controller.calibration)
+        which = f"{controller.detector}-{hashlib.sha256(repr(known).encode()).hexdigest()[:16]}"
+
+        def key(job: Job) -> str:
+            return f"{job.kind}-{job.seed}-{job.until}-{which}"
+
+        found = {(job.kind, job.seed): ValidationRun.of_row(rows[key(job)]) for job in jobs if key(job) in rows}
         words = f"{controller.policy.stem} {DETECTORS.label(controller.detector)} {', '.join(counts)}"
-        done = self.pool.run(run_validation, jobs)
-        bar = tqdm(done, total=len(jobs), desc=words, unit="episode", leave=False, disable=None)
-        found = {(job.kind, job.seed): run for job, run in bar}
+        done = self.pool.run(run_validation, [job for job in jobs if (job.kind, job.seed) not in found])
+        with tqdm(total=len(jobs), initial=len(found), desc=words, unit="episode", leave=False, disable=None) as bar:
+            for job, run in done:
+                if self.store is not None:
+                    self.store.add(key(job), run.row())
+                found[job.kind, job.seed] = run
+                bar.update()
         return {kind: [found[kind, seed] for seed in seeds[:count]] for kind, count in counts.items()}
 
 
@@ -61,7 +77,7 @@ def tally(words: str, runs: Sequence[ValidationRun]) -> dict[str, Any]:
     outcomes: list[Outcome] = [run.outcome for run in runs]
     found = {
         "successes": sum(bool(o.success) for o in outcomes),
-        "switching": sum(o.switch_success for o in outcomes),
+        "switching": sum(bool(o.switch_success) for o in outcomes),
         "episodes": len(outcomes),
         "mean_seconds": float(np.mean([o.sim_seconds for o in outcomes])),
         "failures": {f"seed {o.seed}": o.failure for o in outcomes if o.failure},

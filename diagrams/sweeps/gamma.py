@@ -20,6 +20,8 @@ def gamma_curves(rows: pd.DataFrame) -> tuple[dict[str, list], dict[str, tuple[n
     swept = rows[rows["gamma"].notna()]
     curves: dict[str, list] = {}
     for cell in sorted(cells(swept), key=lambda cell: cell["gamma"]):
+        if not cell["switching"]["n"]:  # each was void
+            continue
         kind = cell["disturbance"]
         label = f"{controller_name(cell | {'gamma': None})}, {'no disturbance' if kind == 'none' else kind}"
         curves.setdefault(label, []).append({name: cell[name] for name in CELL} | cell["switching"])
@@ -29,6 +31,7 @@ def gamma_curves(rows: pd.DataFrame) -> tuple[dict[str, list], dict[str, tuple[n
         last = points[-1]
         runs = swept[np.logical_and.reduce([swept[name] == last[name] for name in CELL])]
         gammas = np.geomspace(points[0]["gamma"], last["gamma"], 200)
+        runs = runs[runs["switch_success"].notna()]
         good = runs["error_peak_normal"].to_numpy(float)[:, None] < gammas
         if last["disturbance"] != "none":
             good &= runs["error_peak_disturbed"].to_numpy(float)[:, None] >= gammas

@@ -9,37 +9,64 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
+from diagrams.world.names import MOVED
+
 CELL = ["rnn", "detector", "gamma", "disturbance"]
-# Measure: the column that says whether it went well, and why not. The last is the switching in the paper's words
-# (diagrams/episodes/switching.py).
+# Measure: the column that says whether it went well, and what went wrong first. The last is the switching in the
+# paper's words (diagrams/episodes/switching.py).
 MEASURES = {
     "task": ("success", "failure"),
     "switching": ("switch_success", "switch_failure"),
     "as_paper": ("paper_switch_success", "switch_failure"),
 }
-
 DELAYS = ("detection_delay_s", "return_s", "resume_s")
+ONE_RETURN = 2  # crossings of the guard: up and down
+DRAWS, BOOTSTRAP_SEED = 4000, 0
 
 
-def rate(successes: np.ndarray, training_seeds: np.ndarray) -> dict[str, Any]:
-    """Of (n,) bool and (n,) int: n, successes, rate, Wilson 95 % interval; mean and deviation over training seeds.
+def rate(successes: np.ndarray, scenes: np.ndarray, training_seeds: np.ndarray) -> dict[str, Any]:
+    """Of (n,) bool, of which scene and training seed each: n, successes, rate, and its 95 % interval.
 
-    The deviation is that of the whole (divided by the number of seeds): the paper's figures, such as 95.8 +- 2.4 % of
-    three times 40, are possible with it alone.
+    The interval is `bootstrap`'s, which has no width where all or none succeeded: there it is the exact one
+    (Clopper-Pearson) of the scenes in which every training seed succeeded, and `exact` is true. That one is always in
+    `scenes`. Mean and deviation over training seeds; the deviation is that of the whole (divided by the number of
+    seeds): the paper's figures, such as 95.8 +- 2.4 % of three times 40, are possible with it alone.
     """
     n, count = len(successes), int(np.sum(successes))
-    interval = binomtest(count, n).proportion_ci(method="wilson")
+    if not n:
+        return {"n": 0, "successes": 0}
+    by_scene = [bool(successes[scenes == scene].all()) for scene in np.unique(scenes)]
+    bounds = binomtest(sum(by_scene), len(by_scene)).proportion_ci(method="exact")
+    of_scenes = {"n": len(by_scene), "all_right": sum(by_scene), "interval": [float(bounds.low), float(bounds.high)]}
     by_seed = {str(seed): float(np.mean(successes[training_seeds == seed])) for seed in np.unique(training_seeds)}
     means = list(by_seed.values())
+    exact = count in (0, n)
     return {
         "n": n,
         "successes": count,
         "rate": count / n,
-        "interval": [float(interval.low), float(interval.high)],
+        "interval": of_scenes["interval"] if exact else bootstrap(successes, scenes),
+        "exact": exact,
+        "scenes": of_scenes,
         "by_training_seed": by_seed,
         "mean": float(np.mean(means)),
         "deviation": float(np.std(means)),
     }
+
+
+def bootstrap(successes: np.ndarray, scenes: np.ndarray) -> list[float]:
+    """95 % percentile interval of the rate: draws scenes, and within each the runs of its training seeds."""
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    _, index, counts = np.unique(scenes, return_inverse=True, return_counts=True)
+    order = np.argsort(index, kind="stable")
+    first = np.cumsum(counts) - counts  # of the scene's runs, in that order
+    drawn = rng.integers(len(counts), size=(DRAWS, len(counts)))
+    size = counts[drawn]  # as many runs as the scene has
+    within = rng.random((DRAWS, len(counts), counts.max()))
+    runs = order[first[drawn][..., None] + (within * size[..., None]).astype(int)]
+    used = np.arange(counts.max()) < size[..., None]
+    rates = np.where(used, successes[runs], 0.0).sum(axis=(1, 2)) / size.sum(axis=1)
+    return [float(bound) for bound in np.quantile(rates, (0.025, 0.975))]
 
 
 def spread(values: pd.Series) -> dict[str, float] | None:
@@ -51,40 +78,66 @@ def spread(values: pd.Series) -> dict[str, float] | None:
 
 
 def measures(rows: pd.DataFrame) -> dict[str, tuple[str, str]]:
-    """Those of MEASURES that were asked for: --until switching leaves the others open."""
-    return {measure: columns for measure, columns in MEASURES.items() if rows[columns[0]].notna().all()}
+    """Those of MEASURES that were asked for: --until switching leaves the others open, and so does a void episode."""
+    run = rows[rows["error"].isna()]
+    return {name: columns for name, columns in MEASURES.items() if run.empty or run[columns[0]].notna().any()}
+
+
+def judged(rows: pd.DataFrame, flag: str, kind: str) -> dict[str, Any]:
+    """The rate of the column `flag` where it says something, and how often what failed first, of the column `kind`."""
+    rows = rows[rows[flag].notna()]
+    successes = rows[flag].to_numpy(bool)
+    failures = collections.Counter(rows[kind][~successes].dropna())
+    found = rate(successes, rows["seed"].to_numpy(), rows["training_seed"].to_numpy())
+    return found | {"failures": dict(failures.most_common())}
 
 
 def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    """One entry a controller (over its training seeds) and disturbance; `rows`: a table (see table.py)."""
-    found, measured = [], measures(rows)
+    """One entry a controller (over its training seeds) and disturbance; `rows`: a table (see table.py).
+
+    A measure's `clear`: of the episodes alone whose straight way home touches nothing.
+    """
+    found = []
     for labels, cell in _groups(rows, CELL):
-        entry = labels | {"errors": int(cell["error"].notna().sum())}
-        for measure, (flag, kind) in measured.items():
-            failures = collections.Counter(cell[kind][~cell[flag].astype(bool)].dropna())
-            entry[measure] = rate(cell[flag].to_numpy(bool), cell["training_seed"].to_numpy())
-            entry[measure]["failures"] = dict(failures.most_common())
+        void, run = cell["void"].eq(True), cell["error"].isna()
+        clear = cell[cell["way_home_clear"].eq(True)]
+        entry = labels | {
+            "errors": int((~run).sum()),
+            "void": int(void.sum()),
+            "void_failures": dict(collections.Counter(cell["failure"][void].dropna()).most_common()),
+        }
+        for measure, columns in measures(cell).items():
+            entry[measure] = judged(cell, *columns)
+            if not clear.empty:
+                entry[measure]["clear"] = judged(clear, *columns)
         # A false alarm that is under way at the onset would count as noticed at once.
         entry |= {name: spread(cell[name][cell["false_switches"] == 0]) for name in DELAYS}
+        if labels["disturbance"] not in ("none", MOVED):
+            kept = cell[run & ~void]
+            one = (kept["guard_crossings"] <= ONE_RETURN).to_numpy(bool)
+            entry["one_return"] = rate(one, kept["seed"].to_numpy(), kept["training_seed"].to_numpy())
+        seconds = float(cell["sim_seconds"].sum())
+        entry["needless_share"] = float(cell["needless_s"].sum()) / seconds if seconds else None
+        entry["switched_again"] = int((cell["later_switches"] > 0).sum())
         found.append(entry | {name: spread(cell[name]) for name in ("sim_seconds", "realtime_factor")})
     return found
 
 
 def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    """McNemar's exact test of each two controllers (rnn, detector) at the same gamma, on the episodes that both have.
+    """Each two controllers (rnn, detector) at the same gamma, on the episodes that both have and that say something.
 
-    `p_scenes`: an exact sign test on the scenes, which recur under every training seed: which of the two switches or
-    does its task more often there. All pairs are listed; none of the p is corrected for their number.
+    `p`: exact sign test on the scenes, which recur under every training seed: which of the two does better there more
+    often (`scenes_a`, `scenes_b`). All pairs are listed; none of the p is corrected for their number.
     """
-    found, measured = [], measures(rows)
+    found = []
     for labels, group in _groups(rows, ["disturbance", "gamma"]):
         controllers = [(c["rnn"], c["detector"], part) for c, part in _groups(group, ["rnn", "detector"])]
         for (rnn_a, detector_a, a), (rnn_b, detector_b, b) in itertools.combinations(controllers, 2):
             pairs = a.merge(b, on=["training_seed", "seed"], suffixes=("_a", "_b"))
-            for measure, (flag, _) in measured.items():
-                more = pairs[f"{flag}_a"].astype(int) - pairs[f"{flag}_b"].astype(int)
-                more_on_scene = more.groupby(pairs["seed"]).sum()
-                only_a, only_b = int((more > 0).sum()), int((more < 0).sum())
+            for measure, (flag, _) in measures(group).items():
+                both = pairs[pairs[f"{flag}_a"].notna() & pairs[f"{flag}_b"].notna()]
+                more = both[f"{flag}_a"].astype(int) - both[f"{flag}_b"].astype(int)
+                more_on_scene = more.groupby(both["seed"]).sum()
                 scenes_a, scenes_b = int((more_on_scene > 0).sum()), int((more_on_scene < 0).sum())
                 found.append(
                     labels
@@ -92,20 +145,20 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
                         "measure": measure,
                         "a": {"rnn": rnn_a, "detector": detector_a},
                         "b": {"rnn": rnn_b, "detector": detector_b},
-                        "n": len(pairs),
-                        "only_a": only_a,
-                        "only_b": only_b,
-                        "p": sign_test(only_a, only_b),
+                        "n": len(both),
+                        "only_a": int((more > 0).sum()),
+                        "only_b": int((more < 0).sum()),
+                        "scenes": len(more_on_scene),
                         "scenes_a": scenes_a,
                         "scenes_b": scenes_b,
-                        "p_scenes": sign_test(scenes_a, scenes_b),
+                        "p": sign_test(scenes_a, scenes_b),
                     }
                 )
     return found
 
 
 def sign_test(a: int, b: int) -> float:
-    """Two-sided p of the exact sign test, `a` pairs against `b`; on discordant pairs it is McNemar's exact test."""
+    """Two-sided p of the exact sign test, `a` scenes against `b`."""
     return float(binomtest(a, a + b).pvalue) if a + b else 1.0
 
 
@@ -117,20 +170,24 @@ def _groups(rows: pd.DataFrame, columns: list[str]) -> Iterator[tuple[dict[str, 
 
 def table(summary: dict[str, Any]) -> str:
     """Cells and comparisons of a summary as text."""
-    lines = [f"{'controller':24s} {'dist.':5s} {'':9s} {'rate and 95 % interval':33s} {'over seeds':15s} failures"]
+    lines = [f"{'controller':24s} {'dist.':5s} {'':14s} {'rate and 95 % interval':33s} {'over seeds':15s} failed first"]
     for cell in summary["cells"]:
         for measure in (name for name in MEASURES if name in cell):
-            r = cell[measure]
-            low, high = r["interval"]
-            kinds = ", ".join(f"{kind} {count}" for kind, count in r["failures"].items()) or "none"
-            lines.append(
-                f"{controller_name(cell):24s} {cell['disturbance']:5s} {measure:9s} "
-                f"{r['successes']:4d} of {r['n']:4d} {100 * r['rate']:6.1f} % [{100 * low:5.1f}, {100 * high:5.1f}]  "
-                f"{100 * r['mean']:5.1f} ± {100 * r['deviation']:4.1f} %  {kinds}"
-            )
+            lines.append(f"{controller_name(cell):24s} {cell['disturbance']:5s} {_rate(measure, cell[measure])}")
+            if "clear" in cell[measure]:
+                lines.append(f"{'':30s} {_rate('way home clear', cell[measure]['clear'])}")
+        if cell["void"]:
+            kinds = f" ({_kinds(cell['void_failures'])})" if cell["void_failures"] else ""
+            lines.append(f"{'':30s} void, since the disturbance never came: {cell['void']}{kinds}")
+        if "one_return" in cell:
+            lines.append(f"{'':30s} {_rate('one return', cell['one_return'])}")
+        lost = [f"{100 * cell['needless_share']:.2f} % of the time"] if cell["needless_share"] else []
+        lost += [f"switched again in {cell['switched_again']} runs"] if cell["switched_again"] else []
+        if lost:
+            lines.append(f"{'':30s} needless returns: {'; '.join(lost)}")
         delays = [
             f"{word} {cell[name]['median']:.1f} s, {cell[name]['p95']:.1f} s"
-            for word, name in (("noticed after", "detection_delay_s"), ("home after", "return_s"))
+            for word, name in zip(("noticed after", "home after", "alpha low after"), DELAYS, strict=True)
             if cell[name] is not None
         ]
         if delays:
@@ -139,9 +196,28 @@ def table(summary: dict[str, Any]) -> str:
         lines.append(
             f"{c['disturbance']:5s} {c['measure']:9s} {controller_name(c['a'] | {'gamma': c['gamma']})} against "
             f"{controller_name(c['b'] | {'gamma': None})}: of {c['n']} only the first {c['only_a']}, only the second "
-            f"{c['only_b']}, p = {c['p']:.2g} (over scenes {c['p_scenes']:.2g})"
+            f"{c['only_b']}; of {c['scenes']} scenes {c['scenes_a']} and {c['scenes_b']}, p = {c['p']:.2g}"
         )
+    lines.append(
+        f"Intervals: bootstrap of {DRAWS} draws of scenes and, within them, of training seeds; e: exact, of the scenes "
+        "in which every training seed is right, since a bootstrap of 0 or 100 % has no width."
+    )
     return "\n".join(lines)
+
+
+def _rate(words: str, r: dict[str, Any]) -> str:
+    if not r["n"]:
+        return f"{words:14s}    0 of    0"
+    low, high = r["interval"]
+    return (
+        f"{words:14s} {r['successes']:4d} of {r['n']:4d} {100 * r['rate']:6.1f} % "
+        f"[{100 * low:5.1f}, {100 * high:5.1f}]{'e' if r['exact'] else ' '} "
+        f"{100 * r['mean']:5.1f} ± {100 * r['deviation']:4.1f} %  {_kinds(r.get('failures', {}))}"
+    ).rstrip()
+
+
+def _kinds(failures: dict[str, int]) -> str:
+    return ", ".join(f"{kind} {count}" for kind, count in failures.items())
 
 
 def controller_name(labels: dict[str, Any]) -> str:

@@ -19,7 +19,7 @@ _TYPES = {
     tuple[float, float]: pa.list_(pa.float64()),
 }
 # Beside the fields of an Outcome; error_peak_*: the detector's largest error before the onset, and from there to the
-# end of the disturbance + 5 ticks.
+# end of the disturbance.
 _OWN = {
     "training_seed": pa.int64(),
     "gamma": pa.float64(),

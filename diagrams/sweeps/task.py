@@ -91,6 +91,7 @@ def error_row(task: Task, error: BaseException) -> dict[str, Any]:
     return {
         **task.labels(),
         **flags,
+        "void": False,
         "failure": "error",
         "switch_failure": "error",
         "error": f"{type(error).__name__}: {' '.join(str(error).split())}",

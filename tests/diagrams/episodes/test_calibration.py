@@ -10,6 +10,7 @@ from diagrams.episodes.calibration import (
     detector_file,
     learned_hash,
     make_detector,
+    never_fires,
     policy_name,
     stored_calibration,
 )
@@ -38,20 +39,29 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(("spec", "criteria"), [("recall", 11), ("knn", 7), ("subspace", 7), (OUTSIDE, 1)])
+@pytest.mark.parametrize(
+    ("spec", "criteria"), [("recall", 11), ("knn", 7), ("subspace", 7), ("never", 1), (OUTSIDE, 1)]
+)
 def test_detectors_by_name(folder, spec, criteria):
     policy = Policy(folder / "lstm.onnx")
     detector = make_detector(spec, policy, folder)
     assert isinstance(detector, DETECTORS[spec])
     assert detector.GetOutputPort("errors").size() == criteria
-    if spec != "recall":
+    if spec not in ("recall", "never"):
         assert stored_calibration(spec, policy, folder) == Calibration((0.5,) * criteria, 10.0, 4.0)
 
 
-def test_the_paper_s_rule_refers_to_the_mean_errors(folder):
+def test_the_network_alone_needs_no_file(tmp_path, folder):
     policy = Policy(folder / "lstm.onnx")
-    policy.mean_errors, policy.reference_errors = np.full(11, 2.0), np.full(11, 6.0)
-    assert stored_calibration("recall", policy, folder) == Calibration((6.0,) * 11, 30.0, 10.0)
+    for gamma in (None, 3.0):
+        assert stored_calibration("never", policy, tmp_path, gamma) == never_fires(1)
+    assert isinstance(make_detector("never", policy, tmp_path), DETECTORS["never"])
+
+
+def test_another_gamma_takes_the_place_of_the_stored_one(folder):
+    policy = Policy(folder / "lstm.onnx")
+    policy.mean_errors = np.full(11, 2.0)
+    assert stored_calibration("recall", policy, folder) == Calibration((2.0,) * 11, 30.0, 10.0)
     assert stored_calibration("recall", policy, folder, gamma=3.0) == Calibration((2.0,) * 11, 30.0, 3.0)
     assert stored_calibration("knn", policy, folder, gamma=3.0) == Calibration((0.5,) * 7, 10.0, 3.0)
 

@@ -1,6 +1,7 @@
 """Validation episodes: which are run, in which order they come back, and what is kept of a real one."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from diagrams.episodes.calibration import Controller, detector_file, make_detect
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.sampling import SEED_BASE
+from diagrams.episodes.store import RowStore
 from diagrams.episodes.thresholds import ValidationRun
 from diagrams.episodes.validation import Validation, run_validation, tally
 from models.data.windows import posture_windows
@@ -39,6 +41,52 @@ def test_the_runs_come_by_kind_in_the_order_of_their_seeds(world, tmp_path, monk
     assert {(job.kind, job.until) for jobs in asked.values() for job in jobs} == {("none", "task"), ("B", "detection")}
     assert {job.until for job in validation.run(controller, {"A": 2}, "switching")["A"]} == {"switching"}
     assert all(job.controller == controller and job.encoder.name == "encoder.onnx" for job in asked["none"])
+
+
+class Killed(Exception):
+    pass
+
+
+def test_kept_runs_are_not_run_again(world, tmp_path, monkeypatch):
+    """A kill after three of five loses nothing; another controller, or another end, is another run."""
+    (tmp_path / "lstm.onnx").write_bytes(b"weights")
+    done, most = [], 3
+
+    def run_validation(job):
+        if len(done) == most:
+            raise Killed
+        done.append((job.kind, job.seed))
+        return ValidationRun(outcome(job), 3, np.full(2, job.seed / 3), np.full(2, 0.1), None)
+
+    monkeypatch.setattr(validation_module, "run_validation", run_validation)
+    controller = Controller(tmp_path / "lstm.onnx", calibration=never_fires(11))
+
+    def run(controller=controller, until=None):
+        with RowStore(tmp_path / "kept.jsonl", {}) as store:
+            asked = Validation(Backwards(), world, tmp_path / "encoder.onnx", 3, store)
+            return asked.run(controller, {"none": 3, "B": 2}, until)
+
+    with pytest.raises(Killed):
+        run()
+    before, most = set(done), 99
+    done.clear()
+    found = run()
+    assert (len(before), len(done)) == (3, 2)
+    seeds = [r.outcome.seed for r in found["none"]]
+    assert before | set(done) == {("none", seed) for seed in seeds} | {("B", seed) for seed in seeds[:2]}
+    assert [(r.outcome.disturbance, r.total.tolist()) for r in found["B"]] == [("B", [s / 3, s / 3]) for s in seeds[:2]]
+
+    def run_anew(**changes):
+        done.clear()
+        rows = [[r.row() for r in runs] for runs in run(**changes).values()]
+        assert rows == [[r.row() for r in runs] for runs in found.values()]
+        return len(done)
+
+    assert run_anew() == 0
+    assert run_anew(until="task") == 2  # the disturbed ones, which went on to the detection alone
+    assert run_anew(controller=replace(controller, calibration=None)) == 5
+    (tmp_path / "lstm.onnx").write_bytes(b"other weights")
+    assert run_anew() == 5
 
 
 def test_tally(capsys):

@@ -1,29 +1,69 @@
 """Rates, intervals, deviations and paired tests of a sweep, against hand-worked numbers and other libraries."""
 
 import json
-import math
 
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.stats
 
-from diagrams.sweeps.summary import cells, comparisons, rate, sign_test, spread, table
+from diagrams.sweeps.summary import MEASURES, cells, comparisons, rate, sign_test, spread, table
 from tests.diagrams.sweeps.rows import frame
 
 
-@pytest.mark.parametrize(("successes", "n"), [(38, 40), (40, 40), (0, 40), (115, 120), (1, 1)])
-def test_interval_is_wilsons(successes, n):
-    found = rate(np.arange(n) < successes, np.zeros(n, int))
-    z, p = 1.959963984540054, successes / n  # Wilson 1927, by hand
-    middle, half = p + z**2 / (2 * n), z * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    assert found["interval"] == pytest.approx([(middle + s * half) / (1 + z**2 / n) for s in (-1, 1)], abs=1e-12)
-    assert (found["n"], found["successes"], found["rate"]) == (n, successes, successes / n)
+def of_scenes(successes, seeds=1):
+    """Rate of (scenes, training seeds) bool."""
+    successes = np.asarray(successes).reshape(-1, seeds)
+    scenes, training = np.indices(successes.shape)
+    return rate(successes.ravel().astype(bool), scenes.ravel(), training.ravel())
+
+
+@pytest.mark.parametrize("lost", [3, 10, 20])
+def test_interval_of_one_training_seed_is_scipys_bootstrap(lost):
+    successes = np.arange(40) >= lost
+    theirs = scipy.stats.bootstrap(
+        (successes.astype(float),), np.mean, n_resamples=20_000, method="percentile", rng=np.random.default_rng(1)
+    ).confidence_interval
+    found = of_scenes(successes)
+    assert found["interval"] == pytest.approx([theirs.low, theirs.high], abs=0.026)  # one scene of 40
+    assert (found["n"], found["successes"], found["rate"], found["exact"]) == (40, 40 - lost, 1 - lost / 40, False)
+
+
+def test_scenes_that_are_alike_under_all_training_seeds_are_no_more_scenes():
+    one = np.arange(40) >= 10
+    width = {
+        seeds: np.diff(of_scenes(np.repeat(one[:, None], seeds, axis=1), seeds)["interval"])[0] for seeds in (1, 3)
+    }
+    assert width[3] == pytest.approx(width[1], abs=0.03)
+    # Where the scene decides nothing, three times the runs make it narrower: by 1 / sqrt(3), were scenes drawn alone.
+    mixed = np.random.default_rng(0).permutation(np.repeat(one, 3))
+    assert np.diff(of_scenes(mixed, 3)["interval"])[0] < 0.85 * width[1]
+
+
+def test_interval_by_hand():
+    """Two scenes, one training seed, one success: the rate of a draw is 0, 1/2 or 1 with 1/4, 1/2, 1/4."""
+    assert of_scenes([True, False])["interval"] == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("successes", "bounds"), [(True, (0.025 ** (1 / 40), 1.0)), (False, (0.0, 1 - 0.025 ** (1 / 40)))]
+)
+def test_all_or_none_have_the_exact_interval_of_the_scenes(successes, bounds):
+    found = of_scenes(np.full((40, 3), successes), 3)
+    assert found["exact"]
+    assert found["interval"] == found["scenes"]["interval"] == pytest.approx(bounds)
+
+
+def test_a_scene_is_right_where_each_training_seed_is():
+    found = of_scenes([[1, 1, 1], [1, 0, 1], [1, 1, 1], [0, 0, 0]], 3)
+    assert (found["successes"], found["scenes"]["n"], found["scenes"]["all_right"]) == (8, 4, 2)
+    assert of_scenes([]) == {"n": 0, "successes": 0}
 
 
 def test_mean_and_deviation_over_training_seeds_are_as_the_paper_gives_them():
     # 37, 39 and 39 of 40: the 95.8 +- 2.4 % of Table II.
-    successes = np.concatenate([np.arange(40) < count for count in (37, 39, 39)])
-    found = rate(successes, np.repeat([0, 1, 2], 40))
+    successes = np.column_stack([np.arange(40) < count for count in (37, 39, 39)])
+    found = of_scenes(successes, 3)
     assert found["by_training_seed"] == {"0": 0.925, "1": 0.975, "2": 0.975}
     assert (round(100 * found["mean"], 1), round(100 * found["deviation"], 1)) == (95.8, 2.4)
 
@@ -67,12 +107,12 @@ def test_scenes_that_recur_under_every_training_seed_count_once():
         for s, won, drawn in ((0, 1, 1), (1, 0, 1))
     ]
     found = comparisons(pd.concat(first + second))[0]
-    assert (found["only_a"], found["only_b"]) == (12, 1)
-    assert (found["scenes_a"], found["scenes_b"]) == (6, 1)
-    assert found["p_scenes"] == pytest.approx(16 / 128)  # 2 (1 + 7) / 2^7, by hand
+    assert (found["n"], found["only_a"], found["only_b"]) == (16, 12, 1)
+    assert (found["scenes"], found["scenes_a"], found["scenes_b"]) == (8, 6, 1)
+    assert found["p"] == pytest.approx(16 / 128)  # 2 (1 + 7) / 2^7, by hand
 
 
-def test_comparison_is_mcnemars_exact_test_on_the_pairs():
+def test_comparisons_are_of_every_measure_whatever_the_order_of_the_rows():
     a = np.array([1] * 30 + [1] * 9 + [0] * 1)
     b = np.array([1] * 30 + [0] * 9 + [1] * 1)
     rows = pd.concat([frame("lstm", a), frame("lstm", b, detector="knn").sample(frac=1.0, random_state=0)])
@@ -119,6 +159,66 @@ def test_what_was_not_asked_for_is_no_failure():
     assert "2 of    3" in table({"cells": cells(rows), "comparisons": comparisons(rows)})
 
 
+def test_void_episodes_are_counted_apart():
+    rows = frame("lstm", [1, 1, 1, 0])
+    # The disturbance of the last two never came: one stalled before, one after a false alarm, which is a failure.
+    rows["void"] = [False, False, True, True]
+    for name in ("success", "switch_success", "paper_switch_success"):
+        rows[name] = [True, False, None, None]
+    rows.loc[3, "switch_success"] = False
+    rows["failure"] = [None, "can toppled", "stalled", "false switch"]
+    rows["switch_failure"] = [None, "not returned", None, "false switch"]
+    rows["guard_crossings"] = [2, 4, 0, 9]
+    found = cells(rows)[0]
+    assert (found["void"], found["void_failures"]) == (2, {"stalled": 1, "false switch": 1})
+    assert [(found[name]["n"], found[name]["successes"]) for name in MEASURES] == [(2, 1), (3, 1), (2, 1)]
+    assert found["switching"]["failures"] == {"not returned": 1, "false switch": 1}
+    assert (found["one_return"]["n"], found["one_return"]["successes"]) == (2, 1)
+    text = table({"cells": [found], "comparisons": []})
+    assert "void, since the disturbance never came: 2 (stalled 1, false switch 1)" in text
+    # Against another controller the episodes count that say something under both.
+    other = frame("gru", [1, 1, 1, 1])
+    assert [c["n"] for c in comparisons(pd.concat([rows, other]))] == [2, 3, 2]
+    rows["success"] = None
+    assert "switching" in cells(rows.iloc[2:])[0]
+    assert cells(rows.iloc[2:3].assign(switch_success=None, paper_switch_success=None))[0].get("task") is None
+
+
+def test_episodes_whose_way_home_is_clear_are_also_counted_apart():
+    rows = frame("lstm", [1, 1, 1, 0, 0]).assign(way_home_clear=[True, True, True, True, False])
+    found = cells(rows)[0]
+    assert (found["task"]["n"], found["task"]["clear"]["n"], found["task"]["clear"]["successes"]) == (5, 4, 3)
+    assert found["switching"]["clear"]["failures"] == {"not resumed": 1}
+    assert "way home clear    3 of    4" in table({"cells": [found], "comparisons": []})
+    assert "clear" not in cells(frame("lstm", [1, 0]))[0]["task"]
+
+
+def test_returns_that_no_disturbance_explains():
+    rows = frame("lstm", [1, 1, 1, 1]).assign(
+        guard_crossings=[2, 2, 3, 0], later_switches=[0, 0, 1, 0], needless_s=[0.0, 0.4, 0.4, 0.0]
+    )
+    found = cells(rows)[0]
+    assert (found["one_return"]["successes"], found["one_return"]["n"]) == (3, 4)
+    assert found["needless_share"] == pytest.approx(0.8 / 160)
+    assert found["switched_again"] == 1
+    assert "needless returns: 0.50 % of the time; switched again in 1 runs" in table(
+        {"cells": [found], "comparisons": []}
+    )
+    for kind in ("none", "moved"):
+        assert "one_return" not in cells(rows.assign(disturbance=kind))[0]
+
+
+def test_an_episode_that_raised_is_a_failure():
+    rows = frame("lstm", [1, 1, 1])
+    raised = {"success": False, "switch_success": False, "paper_switch_success": False, "failure": "error"}
+    rows.loc[2, [*raised, "error"]] = [*raised.values(), "RuntimeError: the arm fell off"]
+    rows.loc[2, ["guard_crossings", "needless_s", "sim_seconds"]] = None
+    found = cells(rows)[0]
+    assert (found["errors"], found["task"]["n"], found["task"]["failures"]) == (1, 3, {"error": 1})
+    assert (found["one_return"]["n"], found["needless_share"]) == (2, 0.0)
+    assert "task" in cells(rows.iloc[2:])[0]  # also where all raised
+
+
 def test_table_and_json_say_it_all():
     rows = pd.concat([frame("lstm", [1, 1, 1, 0]), frame("gru", [1, 0, 0, 0], gamma=3.0)])
     summary = {"cells": cells(rows), "comparisons": comparisons(rows)}
@@ -126,3 +226,4 @@ def test_table_and_json_say_it_all():
     for words in ("LSTM recall", "GRU recall gamma 3", "3 of    4", "75.0 %", "stalled 3", "noticed after 0.2 s"):
         assert words in text
     json.dumps(summary)
+    assert "100.0]e" in table({"cells": cells(frame("lstm", [1, 1])), "comparisons": []})
