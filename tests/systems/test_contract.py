@@ -14,6 +14,7 @@ from systems.dwell_time import DwellTime
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector
 from systems.loop_closer import LoopCloser
+from systems.never_detector import NeverDetector
 from systems.posture_history import PostureHistory
 from systems.recall_detector import RecallDetector
 from systems.recurrent_policy import RecurrentPolicy
@@ -48,6 +49,7 @@ CASES = {
         lambda: SubspaceDetector(FakePolicy(), np.tile(np.eye(3)[:, :2], (3, 1, 1))),
         WINDOW_FEEDTHROUGH,
     ),
+    "NeverDetector": (lambda: NeverDetector(FakePolicy()), set()),
     "AlphaMixer": (
         lambda: AlphaMixer(**LIMITS),
         {(i, "desired_posture") for i in MIXER_INPUTS} | {(i, "rnn_step") for i in MIXER_INPUTS[:2]},
