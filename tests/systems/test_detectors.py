@@ -20,7 +20,7 @@ def test_names_are_those_of_the_classes():
         DETECTORS["svm"]
 
 
-@pytest.mark.parametrize("name", list(DETECTORS))
+@pytest.mark.parametrize("name", ["recall", "knn", "subspace"])
 def test_what_is_fitted_is_what_is_built_and_it_never_fires(name):
     policy = FakePolicy(horizon=10, nonsense=0.1)
     rng = np.random.default_rng(0)
@@ -34,6 +34,17 @@ def test_what_is_fitted_is_what_is_built_and_it_never_fires(name):
         loop.after_tick(k)
         assert loop.output("alpha")[0] < 1e-200
         assert (loop.output("errors").max() > 1e-3) == (name != "never")
+
+
+def test_the_network_alone_notices_nothing():
+    policy, never = FakePolicy(), DETECTORS["never"]
+    detector = never.build(policy, 3, never.fit([np.ones((9, 3))]))
+    loop = ClosedLoop(
+        make_controller(policy=policy, detector=detector), TickArm(policy.initial_posture + 1.0), ([1], 1, 1)
+    )
+    for k in range(3):
+        loop.after_tick(k)
+        assert (loop.output("alpha")[0], loop.output("errors").tolist()) == (0.0, [0.0])
 
 
 def test_a_detector_from_outside_takes_the_place():

@@ -250,6 +250,25 @@ def test_a_clone_goes_on_to_the_same_bits_in_another_simulator(rollout, policy, 
     assert {go_on(Simulator(rollout.diagram, clone)) for clone in clones} == {go_on(simulator)}
 
 
+def test_a_can_alone_is_moved_while_the_hand_comes(rollout, policy, encoder, undisturbed):
+    """From the onset's tick on it is elsewhere; the arm is left alone, and this network does not look again."""
+    place = [CAN[0] + 0.03, CAN[1] + 0.04]
+    given = DisturbanceSpec("moved", level=0.15, can_moved_to=place)
+    run = Run(rollout, policy, encoder, Episode(0, CAN, "left", given), time_limit=7.0)
+    outcome, record = run.outcome, run.record
+    moved = np.hypot(*(record.can_poses[:, 4:6] - CAN).T) > 0.02
+    first = int(np.argmax(moved))
+    assert record.can_poses[first, :7] == pytest.approx([1, 0, 0, 0, *place, CAN_HALF_HEIGHT], abs=1e-3)
+    assert 0 < first < len(moved) - 5
+    assert not record.active.any()
+    same = record.posture[: first + 1]
+    assert same.tobytes() == undisturbed.record.posture[: first + 1].tobytes()
+    assert np.abs(np.diff(record.posture[first : first + 5, :7], axis=0)).max(axis=1).min() > np.deg2rad(0.1)  # no stop
+    assert (outcome.void, outcome.success, outcome.switch_success, outcome.returned) == (False, False, True, None)
+    assert outcome.detection_delay_s is None
+    assert "the can is put elsewhere on the desk" in run.words()
+
+
 def test_the_can_is_where_it_was_put_at_once(robbed):
     """In the middle of the fifth tick of the disturbance, upright, at rest."""
     onset = np.flatnonzero(robbed.record.active)[0]
