@@ -19,12 +19,14 @@ class CaeOptions(TrainingOptions):
     """Trains the convolutional autoencoder on the pictures of the training demonstrations.
 
     Args:
-        max_images: images shown in all; decides the training time.
+        max_images: images shown in all; decides the training time. More fit the trained positions better, and those
+            between them worse.
         batch_size: images an update.
         foreground_weight: weight of a pixel that differs from the median picture; 1 is the paper's plain MSE.
         foreground_threshold: from that difference on, of [0, 1], in any channel.
         feature_activation: "tanh", or the paper's "relu".
-        feature_noise: std of Gaussian noise on the features, which spreads them over their range.
+        feature_noise: std of Gaussian noise on the features. It spreads them over their range, and keeps pictures that
+            differ little near each other there: so a can between two trained positions lies between their features.
         noise: std of Gaussian noise on the input pixels, of [0, 1].
         colour: half range of the random brightness, contrast and channel gains.
         learning_rate: of Adam, decays to a hundredth by a cosine.
@@ -33,12 +35,12 @@ class CaeOptions(TrainingOptions):
             at about twice the speed, and float32 elsewhere; weights, sums over a batch and the loss are float32.
     """
 
-    max_images: int = 90_000
+    max_images: int = 20_000
     batch_size: int = 64
     foreground_weight: float = 16.0
     foreground_threshold: float = 0.08
     feature_activation: str = "tanh"
-    feature_noise: float = 0.03
+    feature_noise: float = 0.3
     noise: float = 0.02
     colour: float = 0.05
     learning_rate: float = 1e-3
