@@ -66,7 +66,7 @@ class RnnOptions(TrainingOptions):
     least_half_range: float = 0.3
     learning_rate: float | None = None
     final_rate: float = 1e-4
-    checkpoint_every: int = 1_000
+    checkpoint_every: int = 2_000
     validate_every: int = 500
     augmentation: Augmentation = field(default_factory=Augmentation)
 
