@@ -6,7 +6,7 @@ Every constructor argument is a physical quantity; everything that a system reme
 =====================  =============================================================================================
 image_encoder          image -> features
 recurrent_policy       network input -> predicted posture and features, recalled postures (discrete state)
-posture_history        posture -> the postures of this tick and the N before it (discrete state)
+posture_history        posture -> the posture now and those of the last N + 1 ticks (discrete state)
 loop_closer            Eqs. 7 and 8: what the network is fed
 detectors              the one list of the detectors
 detector               what a detector is, and what ours share: Eq. 6, its calibration in the Context
@@ -15,7 +15,6 @@ window_detector        what the two baselines have in common: the last samples o
 knn_detector           the first baseline: distance to the nearest training window
 subspace_detector      the second: what is outside the leading axes of the training windows
 never_detector         none: the network alone
-dwell_time             after a switch back alpha stays 0 for a few ticks
 posture_regulator      Drake's LQR for the discrete posture integrator
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 regulated_mixer        the two of them, as one Diagram

@@ -3,13 +3,15 @@
 A detector is any system with these ports, so that another one takes its place without another change:
 
     Inputs:
-        posture_history: ((N + 1) M,) scaled m_k, m_{k-1}, ..., m_{k-N}, row by row.
-        recalled_postures: ((N + 1) M,) scaled m^R_k (predicted), then m^R_{k-1}, ..., m^R_{k-N} (recalled).
-        hidden_state: (S,) c_k of the network.
+        posture_history: ((N + 2) M,) scaled m_k (measured now), m_{k-1}, ..., m_{k-1-N}, row by row.
+        recalled_postures: ((N + 1) M,) scaled, of the state before the tick's update: row 0 is m^R_k, predicted at
+            k - 1, row n is the m^R_{k-1-n} that c_{k-1} recalls, n = 1 .. N.
+        hidden_state: (S,) c_{k-1} of the network.
     Outputs:
-        errors: (E,) what alpha comes from, one number a criterion (E is the detector's choice), each divided by what
-            is large for it on normal runs.
-        alpha: (1,) in [0, 1]; 0 on the learned trajectory, 1 off it.
+        errors: (E,) what alpha comes from, one number a criterion (E is the detector's choice), each divided by its
+            mean on normal runs.
+        alpha: (1,) alpha_k in [0, 1]; 0 on the learned trajectory, 1 off it. Read by the updates of tick k: known
+            before the network steps.
 
 `declare_detector_inputs` declares the inputs; one that a detector doesn't need is left unread. A memory, if it needs
 one, belongs in its Context as discrete state with the tick's period. Its class, which `systems.detectors.DETECTORS`
@@ -19,7 +21,7 @@ finds by a name or as `package.module:Class`, offers beside the ports:
     fit(runs) -> arrays: static; what it learns from runs (T_i, J), rad, as a file keeps it: numpy arrays by name.
     build(policy, joints, arrays) -> System: static; judges the first `joints` components, and never fires yet.
         `policy`: see models/inference.py; `arrays`: of `fit`.
-    set_calibration(context, reference_errors, beta, gamma): of one Context; see CalibratedDetector, which has it.
+    set_calibration(context, mean_errors, beta, gamma): of one Context; see CalibratedDetector, which has it.
 """
 
 from typing import Any
@@ -29,6 +31,7 @@ from pydrake.systems.framework import BasicVector_, Context, System
 
 from systems.arguments import require_count, require_positive, require_vector
 
+GUARD = 0.5  # alpha below it: the network has the arm
 NEVER = 1e12  # a gamma that no error reaches
 EXPONENT = 500.0  # exp(500) is finite; 1 / (1 + exp(500)) is 0 to every purpose
 
@@ -42,9 +45,11 @@ def alpha_of(errors: np.ndarray, beta, gamma):
 
 def _input_sizes(policy) -> dict[str, int]:
     horizon = require_count("policy.horizon", policy.horizon)
-    rows = (horizon + 1) * require_count("policy.posture_size", policy.posture_size)
+    size = require_count("policy.posture_size", policy.posture_size)
     state_size = require_count("policy.state_size", policy.state_size)
-    return {"posture_history": rows, "recalled_postures": rows, "hidden_state": state_size}
+    return dict(
+        posture_history=(horizon + 2) * size, recalled_postures=(horizon + 1) * size, hidden_state=state_size
+    )  # fmt: skip
 
 
 def declare_detector_inputs(system, policy) -> tuple:
@@ -73,16 +78,15 @@ def check_detector(system: System, policy) -> None:
 
 
 class CalibratedDetector:
-    """alpha = max_n 1 / (1 + exp(-beta (l_n / r_n - gamma))) over E criteria; a subclass says what l_n is.
+    """alpha = max_n 1 / (1 + exp(-beta (l_n / mean_l_n - gamma))) over E criteria; a subclass says what l_n is.
 
     A mixin: `class Mine(CalibratedDetector, LeafSystem)`. The subclass calls `declare_ports` in its constructor and
     defines `calc_errors`.
 
-    r_n, the reference error, says what is large for l_n on normal runs (the paper takes its mean there). The ratio
-    (dimensionless) is our reading of the equation: with the difference in scaled units, beta = 30 leaves alpha near
-    0.5 for ever.
+    mean_l_n is the mean of l_n on normal runs. The ratio (dimensionless) is our reading of the equation: with the
+    difference in scaled units, beta = 30 leaves alpha near 0.5 for ever.
 
-    Numeric parameters of the Context: reference_errors (E,), beta (1,), gamma (1,). In a default Context they are 1, 1
+    Numeric parameters of the Context: mean_errors (E,), beta (1,), gamma (1,). In a default Context they are 1, 1
     and NEVER: nothing fires, and `errors` are the l_n themselves, from which any detector is calibrated. A clone of a
     Context has its values. A system converted to AutoDiffXd starts from the default ones:
     `converted_context.SetTimeStateAndParametersFrom(context)` brings those of a Context.
@@ -103,7 +107,7 @@ class CalibratedDetector:
             scalar: of the system: float or AutoDiffXd.
         """
         self.posture_history, self.recalled_postures, self.hidden_state = declare_detector_inputs(self, policy)
-        self._references, self._beta, self._gamma = (
+        self._means, self._beta, self._gamma = (
             self.DeclareNumericParameter(BasicVector_[scalar]([scalar(value)] * size))
             for value, size in ((1.0, criteria), (1.0, 1), (NEVER, 1))
         )
@@ -111,30 +115,30 @@ class CalibratedDetector:
         self._errors = self.DeclareVectorOutputPort("errors", criteria, self._write_errors, prerequisites)
         self.DeclareVectorOutputPort("alpha", 1, self._write_alpha, prerequisites)
 
-    def calc_errors(self, context: Context, reference_errors: np.ndarray) -> np.ndarray:
-        """l_n / r_n (E,), with `reference_errors` r_n (E,)."""
+    def calc_errors(self, context: Context, mean_errors: np.ndarray) -> np.ndarray:
+        """l_n / mean_l_n (E,), with `mean_errors` mean_l_n (E,)."""
         raise NotImplementedError
 
-    def set_calibration(self, context: Context, reference_errors, beta: float, gamma: float) -> None:
+    def set_calibration(self, context: Context, mean_errors, beta: float, gamma: float) -> None:
         """Sets the parameters in `context`, this system's own, of floats; holds at once.
 
         Args:
-            reference_errors: (E,) r_n > 0, unit of l_n.
-            beta: slope, > 0; gamma: what l_n / r_n must reach for alpha = 1/2. Dimensionless.
+            mean_errors: (E,) mean_l_n > 0, unit of l_n.
+            beta: slope, > 0; gamma: what l_n / mean_l_n must reach for alpha = 1/2. Dimensionless.
         """
-        size = context.get_numeric_parameter(self._references).size()
-        references = require_vector("reference_errors", reference_errors, size, minimum=0.0)
-        if np.any(references == 0.0):
+        size = context.get_numeric_parameter(self._means).size()
+        means = require_vector("mean_errors", mean_errors, size, minimum=0.0)
+        if np.any(means == 0.0):
             raise ValueError(
-                f"reference_errors is {references}; every component must be greater than 0, errors are divided by it: "
+                f"mean_errors is {means}; every component must be greater than 0, errors are divided by it: "
                 "calibrate on runs in which the arm moves."
             )
-        values = references, [require_positive("beta", beta)], require_vector("gamma", [gamma], 1)
-        for index, value in zip((self._references, self._beta, self._gamma), values, strict=True):
+        values = means, [require_positive("beta", beta)], require_vector("gamma", [gamma], 1)
+        for index, value in zip((self._means, self._beta, self._gamma), values, strict=True):
             context.get_mutable_numeric_parameter(index).SetFromVector(value)
 
     def _write_errors(self, context, output):
-        output.SetFromVector(self.calc_errors(context, context.get_numeric_parameter(self._references).CopyToVector()))
+        output.SetFromVector(self.calc_errors(context, context.get_numeric_parameter(self._means).CopyToVector()))
 
     def _write_alpha(self, context, output):
         beta, gamma = (context.get_numeric_parameter(i)[0] for i in (self._beta, self._gamma))

@@ -11,7 +11,7 @@ from systems.arguments import require_count
 @TemplateSystem.define("LoopCloser_", T_list=[float, AutoDiffXd])
 def LoopCloser_(T):
     class Impl(LeafSystem_[T]):
-        """x_k = (1 - alpha_{k-1}) [m_k, f_k] + alpha_{k-1} [m^R_k, f^R_k], Eqs. 7 and 8.
+        """x_k = (1 - alpha_k) [m_k, f_k] + alpha_k [m^R_k, f^R_k], Eqs. 7 and 8.
 
         .. pydrake_system::
 
@@ -24,7 +24,7 @@ def LoopCloser_(T):
             features: (F,) f_k, of the image.
             predicted_posture: (M,) m^R_k, predicted at the tick before.
             predicted_features: (F,) f^R_k, predicted at the tick before.
-            alpha: (1,) alpha_{k-1} in [0, 1]; the tick's update sees the value of the tick before.
+            alpha: (1,) alpha_k in [0, 1], known before the network steps.
         Outputs:
             network_input: (M + F,) x_k. Direct feedthrough of every input; converts to AutoDiffXd.
 

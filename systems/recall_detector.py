@@ -11,18 +11,18 @@ from systems.arguments import require_count
 from systems.detector import CalibratedDetector
 
 
-def recall_errors(difference: np.ndarray, joints: int, reference_errors: np.ndarray) -> np.ndarray:
-    """l_n / r_n, (N + 1,), Eq. 5: l_n is the squared error of what is recalled of tick k - n, averaged over the joints.
+def recall_errors(difference: np.ndarray, joints: int, mean_errors: np.ndarray) -> np.ndarray:
+    """l_n / mean_l_n, (N + 1,), Eq. 5: l_n is the mean of the squared errors over the joints.
 
     Under alpha = 1 the fingers keep their command whatever the network goes through: their recall is not judged.
 
     Args:
         difference: (N + 1, M) recalled minus measured postures (or the reverse), scaled; float or AutoDiffXd.
         joints: J, the first J components are joints.
-        reference_errors: (N + 1,) r_n, scaled units squared.
+        mean_errors: (N + 1,) mean_l_n, scaled units squared.
     """
     weights = _weights(joints, difference.shape[1])
-    return (difference * difference * (weights / reference_errors[:, None])).sum(axis=1)
+    return (difference * difference * (weights / mean_errors[:, None])).sum(axis=1)
 
 
 @functools.cache
@@ -36,7 +36,7 @@ def _weights(joints: int, size: int) -> np.ndarray:
 @TemplateSystem.define("RecallDetector_", T_list=[float, AutoDiffXd])
 def RecallDetector_(T):
     class Impl(CalibratedDetector, LeafSystem_[T]):
-        """Judges the recall of each of the last N + 1 ticks; row 0 is the prediction that the tick before made.
+        """l_0 judges the prediction m^R_k against m_k, l_n what c_{k-1} recalls of tick k - 1 - n against m_{k-1-n}.
 
         .. pydrake_system::
 
@@ -44,7 +44,7 @@ def RecallDetector_(T):
             input_ports: [posture_history, recalled_postures, hidden_state]
             output_ports: [errors, alpha]
 
-        Ports: see systems/detector.py; errors (N + 1,): l_n / r_n, n = 0 .. N. `hidden_state` is left unread.
+        Ports: see systems/detector.py; errors (N + 1,): l_n / mean_l_n, n = 0 .. N. `hidden_state` is left unread.
         Direct feedthrough of both postures; converts to AutoDiffXd.
 
         Constructor: policy, any object with `posture_size` M, `horizon` N, `state_size` S; joints (J), the first J
@@ -67,9 +67,13 @@ def RecallDetector_(T):
             """Returns the detector for `policy`; nothing was fitted, `arrays` is empty."""
             return RecallDetector(policy, joints)
 
-        def calc_errors(self, context, reference_errors):
-            difference = self.posture_history.Eval(context) - self.recalled_postures.Eval(context)
-            return recall_errors(difference.reshape(-1, self._policy.posture_size), self._joints, reference_errors)
+        def calc_errors(self, context, mean_errors):
+            size = self._policy.posture_size
+            measured = self.posture_history.Eval(context).reshape(-1, size)
+            # m_{k-1}, row 1, has no counterpart: c_{k-1} has just been fed it.
+            measured = np.concatenate((measured[:1], measured[2:]))
+            recalled = self.recalled_postures.Eval(context).reshape(-1, size)
+            return recall_errors(measured - recalled, self._joints, mean_errors)
 
     return Impl
 

@@ -7,7 +7,7 @@ from systems.arguments import require_count, require_positive, require_vector
 
 
 class RecurrentPolicy(LeafSystem):
-    """Steps the network once a tick; hidden state and last prediction are discrete state.
+    """Steps the network once a tick; hidden state, prediction and recall are discrete state.
 
     .. pydrake_system::
 
@@ -20,8 +20,8 @@ class RecurrentPolicy(LeafSystem):
     Outputs (all of them state, none has direct feedthrough; after the update of tick k):
         predicted_posture: (M,) m^R_{k+1}, scaled, clipped to [-1, 1].
         predicted_features: (F,) f^R_{k+1}, clipped to [-1, 1].
-        recalled_postures: ((N + 1) M,) scaled, row by row: row 0 is m^R_k, the prediction made one tick before (Eq. 6);
-            row n is m^R_{k-n}, recalled from the hidden state (Eq. 5).
+        recalled_postures: ((N + 1) M,) scaled, row by row: row 0 is m^R_{k+1}, the prediction (Eq. 6); row n is
+            m^R_{k-n}, recalled from c_k (Eq. 5). What the detector reads at tick k + 1.
         hidden_state: (S,) c_k, dimensionless.
 
     Before the first tick: c_0; the initial posture, where the arm rests, as prediction and as all that is recalled;
@@ -59,8 +59,6 @@ class RecurrentPolicy(LeafSystem):
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         x = self._network_input.Eval(context)
-        # Read before writing: row 0 of the recall is the prediction that the tick before made for this one.
-        last_prediction = context.get_discrete_state(self._predicted_posture).value()
         y, hidden, recalled = self._policy.step(x, context.get_discrete_state(self._hidden).value().copy())
         if np.shape(recalled) != (self._horizon, self._posture_size):
             raise ValueError(
@@ -73,7 +71,7 @@ class RecurrentPolicy(LeafSystem):
                 f"most {np.max(np.abs(x)):g} in magnitude, should be near [-1, 1]): check the weights and the scaling."
             )
         y = np.clip(y, -1.0, 1.0)
-        discrete_state.set_value(self._recalled, np.concatenate((last_prediction, np.ravel(recalled))))
+        discrete_state.set_value(self._recalled, np.concatenate((y[: self._posture_size], np.ravel(recalled))))
         discrete_state.set_value(self._predicted_posture, y[: self._posture_size])
         discrete_state.set_value(self._predicted_features, y[self._posture_size :])
         discrete_state.set_value(self._hidden, hidden)

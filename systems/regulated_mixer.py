@@ -13,7 +13,7 @@ class RegulatedMixer(Diagram):
     .. pydrake_system::
 
         name: RegulatedMixer
-        input_ports: [posture, predicted_posture, alpha, last_alphas]
+        input_ports: [posture, predicted_posture, alpha]
         output_ports: [desired_posture, rnn_step, regulator_step]
 
     Ports: see AlphaMixer; regulator_step (M,): dm^L_k. Postures scaled or physical, all in one unit.
@@ -25,7 +25,7 @@ class RegulatedMixer(Diagram):
         Args:
             posture_size: M; joints: J <= M, the first J components are regulated, the others are fingers.
             initial_posture, Q, R, period: see `make_posture_regulator`.
-            limits: lower, upper, max_step, settling_ticks of AlphaMixer.
+            limits: lower, upper, max_step, finger_openings, finger_thresholds of AlphaMixer.
         """
         super().__init__()
         sizes = {"posture_size": posture_size, "joints": joints}
@@ -35,7 +35,7 @@ class RegulatedMixer(Diagram):
         builder.AddNamedSystem("posture_regulator", regulator)
         builder.AddNamedSystem("alpha_mixer", mixer)
         builder.Connect(regulator.get_output_port(), mixer.GetInputPort("regulator_step"))
-        for name in ("posture", "predicted_posture", "alpha", "last_alphas"):
+        for name in ("posture", "predicted_posture", "alpha"):
             builder.ExportInput(mixer.GetInputPort(name), name)
         builder.ConnectInput("posture", regulator.get_input_port())
         for name in ("desired_posture", "rnn_step"):

@@ -2,15 +2,13 @@
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
-from pydrake.systems.primitives import AffineSystem
+from pydrake.systems.primitives import AffineSystem, ZeroOrderHold
 
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
 from systems.detector import check_detector
-from systems.dwell_time import DwellTime
 from systems.image_encoder import ImageEncoder
 from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
-from systems.posture_regulator import lqr
 from systems.recurrent_policy import RecurrentPolicy
 from systems.regulated_mixer import RegulatedMixer
 
@@ -23,7 +21,7 @@ class SwitchedController(Diagram):
         name: SwitchedController
         input_ports: [rgb_image, posture]
         output_ports: [desired_posture, rnn_step, regulator_step, alpha, errors, hidden_state, predicted_features,
-          recalled_postures, posture_history, features, network_input]
+          recalled_postures, measured_posture, features, network_input]
 
     Inputs (read at the ticks only):
         rgb_image: ImageRgba8U of image_width x image_height pixels.
@@ -31,19 +29,20 @@ class SwitchedController(Diagram):
     Outputs (physical units; constant between ticks, but for the last two, which alone have direct feedthrough):
         desired_posture: (M,) the command m_k + dm.
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
-        alpha: (1,) alpha_k; the loop closing of tick k uses alpha_{k-1}.
-        errors: (E,) of the detector.
+        alpha: (1,) alpha_k, which closed the loop at tick k and mixes until the next one.
+        errors: (E,) of the detector, what alpha_k came from.
         hidden_state: (S,) c_k.
         predicted_features: (F,) f^R_{k+1}, in [-1, 1].
-        recalled_postures: ((N + 1) M,) m^R_k, m^R_{k-1}, ..., m^R_{k-N}, *scaled*, row by row.
-        posture_history: ((N + 1) M,) m_k, m_{k-1}, ..., m_{k-N}, *scaled*, row by row.
+        recalled_postures: ((N + 1) M,) m^R_{k+1}, then m^R_{k-1}, ..., m^R_{k-N}, *scaled*, row by row.
+        measured_posture: (M,) m_k.
         features: (F,) of the image, in [-1, 1]. Encodes when pulled.
         network_input: (M + F,) x_k, *scaled*: what the update at tick k feeds to the network. Encodes when pulled, not
-            where alpha_{k-1} is exactly 1: pull it at a tick, where the update needs it too.
+            where alpha_k is exactly 1: pull it at a tick, where the update needs it too.
 
-    Inside, postures are scaled to [-1, 1] by the bounds in the policy's weight file. An update at tick k reads image,
-    posture and alpha as they stand before it; the outputs after it are those of tick k. A publish event at the same
-    time comes before the update: it sees x_k and the features of tick k, and of all other outputs those of tick k - 1.
+    Inside, postures are scaled to [-1, 1] by the bounds in the policy's weight file. The updates of tick k read image
+    and posture as they stand then, and alpha_k, which the detector makes of that posture and of state from the tick
+    before; a hold keeps it for the mixer. The outputs after them are those of tick k. A publish event at the same time
+    comes before the updates: it sees x_k and the features of tick k, and of all other outputs those of tick k - 1.
     """
 
     def __init__(
@@ -58,9 +57,9 @@ class SwitchedController(Diagram):
         joint_lower: np.ndarray,
         joint_upper: np.ndarray,
         speed_limits: np.ndarray,
+        finger_openings: tuple[float, float],
+        finger_thresholds: tuple[float, float],
         period: float = 0.1,
-        settling_ticks: int = 8,
-        dwell_ticks: int = 3,
         image_width: int = 112,
         image_height: int = 112,
     ):
@@ -71,15 +70,12 @@ class SwitchedController(Diagram):
                 `DETECTORS[...].build(policy, joints, arrays)` gives it. In a default Context it never fires: call
                 `set_calibration`.
             joints: J, the first J components are brought home; the others are fingers.
-            regulator_Q, regulator_R: cost of the deviation and of the step, see `systems.posture_regulator.lqr`. Their
-                gain must be `policy.regulator_gain`, with which the network was trained.
+            regulator_Q, regulator_R: cost of the deviation and of the step, see `systems.posture_regulator.lqr`.
             joint_lower, joint_upper: (M,) limits of the command, all components, physical units.
-            speed_limits: (M,) largest speed of the command, physical units/s.
+            speed_limits: (J,) largest speed of the joints' command, rad/s.
+            finger_openings: closed, open: the two commands of every finger, m.
+            finger_thresholds: predicted openings below which the fingers close and above which they open, m.
             period: T of the ticks, s.
-            settling_ticks: D, how many ticks after the last one under alpha the network waits for the fingers; see
-                AlphaMixer.
-            dwell_ticks: W < D, how many ticks after alpha fell below 1/2 it is 0 whatever the detector says; see
-                DwellTime.
             image_width, image_height: of the image at the port, pixels.
         """
         super().__init__()
@@ -87,13 +83,15 @@ class SwitchedController(Diagram):
         size = policy.posture_size
         joints = require_count("joints", joints, maximum=size)
         joint_lower, joint_upper = require_bounds("joint_lower", joint_lower, "joint_upper", joint_upper, size)
-        speed_limits = require_vector("speed_limits", speed_limits, size, minimum=0.0)
+        speed_limits = require_vector("speed_limits", speed_limits, joints, minimum=0.0)
         _check_fit(encoder, policy)
         check_detector(detector, policy)
-        _check_gain(policy, lqr(joints, regulator_Q, regulator_R, period)[0])
         scaling = policy.scaling
         centre, half_range = scaling.centre, scaling.half_range
         initial = scaling.scale(require_vector("policy.initial_posture", policy.initial_posture, size))
+
+        def scaled_fingers(values: tuple[float, float]) -> list[np.ndarray]:
+            return [scaling.scale(np.full(size, value))[joints:] for value in values]
 
         builder = DiagramBuilder()
 
@@ -109,7 +107,6 @@ class SwitchedController(Diagram):
         )
         closer = builder.AddNamedSystem("loop_closer", LoopCloser(posture_size=size, feature_size=policy.feature_size))
         builder.AddNamedSystem("detector", detector)
-        dwell = builder.AddNamedSystem("dwell_time", DwellTime(history=settling_ticks, dwell_ticks=dwell_ticks))
         mixer = builder.AddNamedSystem(
             "regulated_mixer",
             RegulatedMixer(
@@ -121,15 +118,17 @@ class SwitchedController(Diagram):
                 period=period,
                 lower=scaling.scale(joint_lower),
                 upper=scaling.scale(joint_upper),
-                max_step=speed_limits * period / half_range,
-                settling_ticks=settling_ticks,
+                max_step=speed_limits * period / half_range[:joints],
+                finger_openings=scaled_fingers(finger_openings),
+                finger_thresholds=scaled_fingers(finger_thresholds),
             ),
         )
-        # A history of any vector. Its update at tick k still sees the alpha of tick k - 1.
-        alpha_history = builder.AddNamedSystem(
-            "alpha_history",
-            PostureHistory(posture_size=1, horizon=settling_ticks - 1, period=period, initial_posture=np.zeros(1)),
-        )
+        # Between the ticks the detector compares the posture of now with the prediction of the next tick: what it said
+        # at the tick is held.
+        holds = {
+            name: builder.AddNamedSystem(f"{name}_hold", ZeroOrderHold(period, detector.GetOutputPort(name).size()))
+            for name in ("alpha", "errors")
+        }
 
         def wire(source: System, target: System, *names: str) -> None:
             for name in names:
@@ -137,7 +136,7 @@ class SwitchedController(Diagram):
 
         builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
         builder.ExportInput(scale.get_input_port(), "posture")
-        # The update of tick k needs the posture of tick k; the command, the one that was sampled then.
+        # The updates of tick k need the posture of tick k; the command, the one that was sampled then.
         builder.Connect(scale.get_output_port(), closer.GetInputPort("posture"))
         builder.Connect(scale.get_output_port(), history.GetInputPort("posture"))
         wire(history, mixer, "posture")
@@ -147,34 +146,33 @@ class SwitchedController(Diagram):
         wire(network, closer, "predicted_posture", "predicted_features")
         wire(network, detector, "recalled_postures", "hidden_state")
         wire(network, mixer, "predicted_posture")
-        builder.Connect(detector.GetOutputPort("alpha"), dwell.GetInputPort("detector_alpha"))
-        wire(dwell, closer, "alpha")
-        wire(dwell, mixer, "alpha")
-        builder.Connect(dwell.GetOutputPort("alpha"), alpha_history.GetInputPort("posture"))
-        for system in (dwell, mixer):
-            builder.Connect(alpha_history.GetOutputPort("posture_history"), system.GetInputPort("last_alphas"))
+        wire(detector, closer, "alpha")
+        for name, hold in holds.items():
+            builder.Connect(detector.GetOutputPort(name), hold.get_input_port())
+        builder.Connect(holds["alpha"].get_output_port(), mixer.GetInputPort("alpha"))
 
-        for name, offset in (("desired_posture", centre), ("rnn_step", 0.0), ("regulator_step", 0.0)):
+        def export_unscaled(port, name: str, offset: np.ndarray | float) -> None:
             unscale = affine(f"{name}_unscaling", half_range, offset * np.ones(size))  # a difference has no offset
-            builder.Connect(mixer.GetOutputPort(name), unscale.get_input_port())
+            builder.Connect(port, unscale.get_input_port())
             builder.ExportOutput(unscale.get_output_port(), name)
-        for system, names in (
-            (dwell, ("alpha",)),
-            (detector, ("errors",)),
-            (network, ("hidden_state", "predicted_features", "recalled_postures")),
-            (history, ("posture_history",)),
-            (image_encoder, ("features",)),
-            (closer, ("network_input",)),
-        ):
-            for name in names:
-                builder.ExportOutput(system.GetOutputPort(name), name)
+
+        export_unscaled(mixer.GetOutputPort("desired_posture"), "desired_posture", centre)
+        for name in ("rnn_step", "regulator_step"):
+            export_unscaled(mixer.GetOutputPort(name), name, 0.0)
+        for name, hold in holds.items():
+            builder.ExportOutput(hold.get_output_port(), name)
+        for name in ("hidden_state", "predicted_features", "recalled_postures"):
+            builder.ExportOutput(network.GetOutputPort(name), name)
+        export_unscaled(history.GetOutputPort("posture"), "measured_posture", centre)
+        builder.ExportOutput(image_encoder.GetOutputPort("features"), "features")
+        builder.ExportOutput(closer.GetOutputPort("network_input"), "network_input")
         builder.BuildInto(self)
         self._detector = detector
 
-    def set_calibration(self, context: Context, reference_errors, beta: float, gamma: float) -> None:
+    def set_calibration(self, context: Context, mean_errors, beta: float, gamma: float) -> None:
         """Sets the detector's calibration (see CalibratedDetector) in `context`, the root Context; holds at once."""
         own = self._detector.GetMyMutableContextFromRoot(context)
-        self._detector.set_calibration(own, reference_errors, beta, gamma)
+        self._detector.set_calibration(own, mean_errors, beta, gamma)
 
 
 def _check_fit(encoder, policy) -> None:
@@ -189,15 +187,4 @@ def _check_fit(encoder, policy) -> None:
         raise ValueError(
             f"The encoder's file has the hash {have}, the policy was trained with {want}: load that encoder, or train "
             "the policy again."
-        )
-
-
-def _check_gain(policy, gain: np.ndarray) -> None:
-    """Raises ValueError unless `gain` (J, J) is the policy's gain times the identity, to 1e-4 of it."""
-    trained = float(policy.regulator_gain)
-    if not np.allclose(gain, trained * np.eye(len(gain)), rtol=0.0, atol=1e-4 * abs(trained)):
-        raise ValueError(
-            f"regulator_Q and regulator_R give the LQR gain {np.array2string(gain, precision=6)}, the policy was "
-            f"trained with {trained:g} times the identity (limit: 1e-4 of that), and has learned the residual of it: "
-            "set Q and R of the training, or train again."
         )

@@ -18,7 +18,7 @@ def save_guard(report: dict, title: str, path: Path) -> None:
     values = np.ma.masked_invalid(np.log10(np.maximum(errors, 1e-9) / report["gamma"]))
     reach = max(float(np.abs(values).max()) if values.count() else 1.0, 0.1)
     filled = axis.contourf(x, x, values, levels=np.linspace(-reach, reach, 25), cmap="RdBu_r")
-    figure.colorbar(filled, ax=axis, label=r"$\log_{10}\,\max_n (l_n/r_n)\,/\,\gamma$")
+    figure.colorbar(filled, ax=axis, label=r"$\log_{10}\,\max_n (l_n/\overline{l}_n)\,/\,\gamma$")
     if values.count() and values.min() < 0 < values.max():
         axis.contour(x, x, values, levels=[0.0], colors="k", linewidths=1.8)
     box = {"facecolor": "white", "alpha": 0.75, "lw": 0, "pad": 2}

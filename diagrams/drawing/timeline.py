@@ -21,7 +21,7 @@ def save_timeline(record: Record, path: Path, title: str) -> None:
     fingers.plot(record.time, 1000 * record.posture[:, -1], color="0.4", lw=1.0, ls=":", label="fingers")
     fingers.set(ylabel="fingers (mm)", ylim=(0, 200))
     axes[3].semilogy(record.time, np.maximum(record.errors.max(axis=1), 1e-3), color="0.2", lw=1.0)
-    axes[3].set_ylabel(r"max $l_n / r_n$")
+    axes[3].set_ylabel(r"max $l_n / \overline{l}_n$")
     _shade(axes[3], record)
     axes[4].set(xlim=(record.time[0], record.time[-1]), xlabel="time (s)")
     # Labels of events that lie close together take turns in height.

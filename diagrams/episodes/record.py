@@ -27,7 +27,7 @@ class Record:
     regulator_step: np.ndarray  # (n, 8) dm^L
     desired_posture: np.ndarray  # (n, 8) command
     alpha: np.ndarray  # (n,)
-    errors: np.ndarray  # (n, E) of the detector; of the recall, l_n / reference error
+    errors: np.ndarray  # (n, E) of the detector; of the recall, l_n / mean_l_n
     hidden_state: np.ndarray  # (n, S)
     network_input: np.ndarray  # (n, 38) x_k, scaled: the posture and the features that the network was fed
     predicted_features: np.ndarray  # (n, 30) f^R_{k+1}

@@ -27,7 +27,7 @@ from systems.switched_controller import SwitchedController
 
 # Outputs of the controller that are logged, under their own names.
 LOGGED = ("rnn_step", "regulator_step", "desired_posture", "errors", "hidden_state", "predicted_features")
-JUDGED = ("posture_history", "alpha", "active", "taken", "can_poses")  # looked at in every tick
+JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
 
 class Rollout:
@@ -54,7 +54,7 @@ class Rollout:
             meshcat: where the run is shown.
             video: an .mp4 to write, finished by `self.video.Save()`.
 
-        Raises InputError for networks, camera, world and regulator that do not fit together.
+        Raises InputError for networks, camera and world that do not fit together.
         """
         require_trained_for(world, policy)
         self.world, self.policy = world, policy
@@ -75,7 +75,9 @@ class Rollout:
                 regulator_R=world.regulator.input_weight,
                 joint_lower=lower,
                 joint_upper=upper,
-                speed_limits=speed,
+                speed_limits=speed[:ARM_JOINTS],
+                finger_openings=(world.closed_opening, world.opening),
+                finger_thresholds=(world.close_below, world.open_above),
                 period=world.timing.period,
                 image_width=world.camera.width,
                 image_height=world.camera.height,
@@ -108,7 +110,7 @@ class Rollout:
         self._ports = {
             name: (system, system.GetOutputPort(name))
             for system, name in (
-                (controller, "posture_history"), (controller, "alpha"), (disturbance, "active"),
+                (controller, "measured_posture"), (controller, "alpha"), (disturbance, "active"),
                 (self.can_mover, "taken"), (station, "can_poses"), (station, "rgb_image"), (plant, "state"),
             )
         }  # fmt: skip
@@ -172,7 +174,6 @@ class Rollout:
         root = self.simulator.get_context()
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
         judged = [ports[name] for name in JUDGED]
-        unscale, size = self.policy.scaling.unscale, self.policy.posture_size
         rows: dict[str, list] = {name: [] for name in ARRAYS}
         success = diverged = cut = can_moved = False
         limit, k = round(time_limit / period), 0
@@ -181,9 +182,9 @@ class Rollout:
             if not self._advance((k + 0.5) * period, *ports["state"]):
                 diverged = True  # what came before is kept
                 break
-            history, alpha, active, taken, cans = [port.Eval(context) for port, context in judged]
-            posture, alpha, active = unscale(history[:size]), float(alpha[0]), bool(active[0] > 0.5)
-            for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans.copy())):
+            posture, alpha, active, taken, cans = [port.Eval(context).copy() for port, context in judged]
+            alpha, active = float(alpha[0]), bool(active[0] > 0.5)
+            for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans)):
                 rows[name].append(value)
             if pictures and k % PICTURE_EVERY == 0:
                 port, context = ports["rgb_image"]

@@ -14,7 +14,7 @@ within 6 s after that tick. Undisturbed: as above. A figure of the paper stands 
 from dataclasses import dataclass
 from typing import Literal
 
-from systems.dwell_time import GUARD
+from systems.detector import GUARD
 
 DETECTED, RESUMED = 0.9, 0.1  # values of alpha
 RESUME_SECONDS = 6.0  # after the arm is at its initial posture

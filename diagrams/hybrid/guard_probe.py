@@ -57,7 +57,7 @@ class GuardProbe:
         return bool(within) and self._checker.first_touch(joints) is None
 
     def __call__(self, displacement: np.ndarray) -> tuple[float, float]:
-        """Largest alpha and largest error l_n / r_n over the ticks after a displacement (7, rad)."""
+        """Largest alpha and largest error l_n / mean_l_n over the ticks after a displacement (7, rad)."""
         simulator, station, controller = self._rollout.simulator, self._rollout.station, self._rollout.controller
         simulator.reset_context(self._kept.Clone())
         plant_context = station.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())

@@ -2,9 +2,10 @@
 
 Mode `task` (alpha < 1/2): the network moves the arm and sees it. Mode `return` (alpha >= 1/2): the LQR moves the arm,
 the network runs on its own predictions. The guard is alpha = 1/2. Crossing it back resets the network's input from what
-it imagined to what is measured: at the switching point the two should be the same. It does so a tick later, since Eqs.
-7 and 8 take alpha of the tick before; for that tick the joints are still left to the LQR, and for a few more the
-fingers stand (AlphaMixer).
+it imagined to what is measured, at that tick: at the switching point the two should be the same.
+
+Nothing in the law bounds the crossings but the tick: alpha has one value a tick, so that there are ten a second at
+most. That they are few is no theorem but what is measured here: after a crossing the error is far from the threshold.
 """
 
 from collections import Counter
@@ -133,22 +134,22 @@ def mode_sequence(record: Record, outcome: dict, name: str, initial_posture: np.
         Stay(RETURN if high[a] else TASK, ends[a], ends[b], complete=a > 0 and b < ticks)
         for a, b in pairwise([0, *crossed, ticks])
     ]
-    resets = [_reset(record, k, initial_posture) for k in crossed if not high[k] and k + 1 < ticks]
+    resets = [_reset(record, k, initial_posture) for k in crossed if not high[k]]
     result = "done" if outcome["success"] else str(outcome["failure"])
     return ModeSequence(name, result, outcome["disturbance"], stays, resets)
 
 
 def _reset(record: Record, k: int, initial_posture: np.ndarray) -> Reset:
-    # alpha falls at tick k, whose input is still imagined. The next would be the prediction made at k: dm^R is taken
-    # from the posture of k.
-    jump = np.abs(record.posture[k + 1] - (record.posture[k] + record.rnn_step[k]))
-    home = np.abs(record.posture[k + 1] - initial_posture)[:ARM_JOINTS]
+    # alpha falls at tick k: the network sees m_k. At alpha = 1 it would have seen m^R_k, predicted at the tick before.
+    predicted = record.posture[k - 1] + record.rnn_step[k - 1] + record.regulator_step[k - 1]
+    jump = np.abs(record.posture[k] - predicted)
+    home = np.abs(record.posture[k] - initial_posture)[:ARM_JOINTS]
     return Reset(
-        time=float(record.time[k + 1]),
+        time=float(record.time[k]),
         joint_jump_deg=float(np.rad2deg(jump[:ARM_JOINTS].max())),
         finger_jump_m=float(jump[ARM_JOINTS:].max()),
         home_distance_deg=float(np.rad2deg(home.max())),
-        state_rms=float(np.sqrt(np.mean(record.hidden_state[k] ** 2))),
+        state_rms=float(np.sqrt(np.mean(record.hidden_state[k - 1] ** 2))),
     )
 
 

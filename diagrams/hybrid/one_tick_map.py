@@ -4,12 +4,15 @@ Held: the image features of a scene, and alpha = 0. Two idealisations: the arm i
 later (the servo's lag is a few percent of a step), and the features do not change while the posture does.
 
 State of the map, and why no more: z = (c, m), the network's hidden state (S) and the scaled posture (8, its last
-component the *command* of the fingers). The last prediction enters the loop only times alpha (Eqs. 7, 8), the recalled
-postures only through alpha; alpha and its derivative are next to nothing at a fixed point, where nothing moves and all
-is recalled (`alpha` in the report measures it).
+component the *command* of the fingers). The last prediction enters the loop only times alpha (Eqs. 7, 8) and through
+alpha, the recalled postures only through alpha; alpha and its derivative are next to nothing at a fixed point, where
+nothing moves and all is recalled (`alpha` in the report measures it).
 
     y, c+ = rnn([m, f], c)                the policy: torch, float64 copy of the weights, Jacobian by torch
     m+    = mixer(m, clip(y), regulator(m), alpha = 0)      Eq. 3: Drake's systems, Jacobian by AutoDiffXd
+
+At alpha = 0 the joints go to the prediction, as far as their limits let them: of m+ only what the network makes of m
+depends on m. The fingers take one of two values, or keep theirs: a step, whose derivative is 0 or 1.
 """
 
 import copy
@@ -79,8 +82,7 @@ class OneTickMap:
 def _command_of(law: System) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """m+ as a function of m and y, in the scalar type of `law`."""
     context = law.CreateDefaultContext()
-    for port in ("alpha", "last_alphas"):
-        law.GetInputPort(port).FixValue(context, np.zeros(1))
+    law.GetInputPort("alpha").FixValue(context, np.zeros(1))
 
     def command(posture: np.ndarray, prediction: np.ndarray) -> np.ndarray:
         law.GetInputPort("posture").FixValue(context, posture)

@@ -3,8 +3,8 @@
 The arm is deflected by `size_deg` along a direction, from a moment on, and held there for a while; or it is stopped
 alone; or stopped while the can is taken out of its hand and put elsewhere. Defeated means one of DEFEATS
 (diagrams/episodes/switching.py). A perturbation that is not detected is no defeat where the task is done all the same:
-the network has coped with it. As in the sampling of episodes, one whose forced path or straight path home would touch
-the scene is none.
+the network has coped with it. One whose forced path would touch the scene is none, as in the sampling of episodes; nor
+is one whose straight path home would: that defeats the path, not the switching.
 
 What is minimised: the magnitude in [0, 1] where the controller is defeated, else 1 + its margin in [0, 1].
 """
@@ -150,9 +150,8 @@ def judge(
     margins = [1.0]
     active = np.flatnonzero(record.active)
     if len(active):
-        until = active[-1] + 1
         worst = record.errors.max(axis=1)
-        margins.append(_decades(worst[active[0] : until].max(), gamma))
+        margins.append(_decades(worst[active[0] : active[-1] + 1].max(), gamma))
         # How near the recall came to fitting again before the arm was at home.
         if outcome.returned and outcome.return_s is not None:
             home = active[-1] + 1 + round(outcome.return_s / period)

@@ -20,6 +20,10 @@ TICKS_AT_HOME = 5  # simulated beyond the arrival, for V
 def regulated_mixer(world: World, station: PickPlaceStation, scaling: MinMaxScaling) -> RegulatedMixer:
     """The LQR and Eq. 3 for the arm of `station`, in the units of `scaling`."""
     lower, upper, speed = controller_limits(station)
+
+    def fingers(*values: float) -> list[np.ndarray]:
+        return [scaling.scale(np.full(len(lower), value))[ARM_JOINTS:] for value in values]
+
     return RegulatedMixer(
         posture_size=len(lower),
         joints=ARM_JOINTS,
@@ -29,7 +33,9 @@ def regulated_mixer(world: World, station: PickPlaceStation, scaling: MinMaxScal
         period=world.timing.period,
         lower=scaling.scale(lower),
         upper=scaling.scale(upper),
-        max_step=speed * world.timing.period / scaling.half_range,
+        max_step=(speed * world.timing.period / scaling.half_range)[:ARM_JOINTS],
+        finger_openings=fingers(world.closed_opening, world.opening),
+        finger_thresholds=fingers(world.close_below, world.open_above),
     )
 
 
@@ -41,7 +47,7 @@ class ReturnLoop:
         builder = DiagramBuilder()
         self.station = builder.AddSystem(PickPlaceStation(world, camera=False))
         initial, period = world.initial_posture, world.timing.period
-        history = PostureHistory(posture_size=len(initial), horizon=1, period=period, initial_posture=initial)
+        history = PostureHistory(posture_size=len(initial), horizon=0, period=period, initial_posture=initial)
         builder.AddNamedSystem("posture_history", history)
         physical = MinMaxScaling(-np.ones(len(initial)), np.ones(len(initial)))  # rad and m as they are
         mixer = builder.AddNamedSystem("regulated_mixer", regulated_mixer(world, self.station, physical))
@@ -49,8 +55,7 @@ class ReturnLoop:
         builder.Connect(self.station.GetOutputPort("posture"), history.GetInputPort("posture"))
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say
             builder.Connect(history.GetOutputPort("posture"), mixer.GetInputPort(port))
-        for port in ("alpha", "last_alphas"):
-            builder.Connect(alpha.get_output_port(), mixer.GetInputPort(port))
+        builder.Connect(alpha.get_output_port(), mixer.GetInputPort("alpha"))
         builder.Connect(mixer.GetOutputPort("desired_posture"), self.station.GetInputPort("desired_posture"))
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)

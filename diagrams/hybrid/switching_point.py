@@ -163,7 +163,7 @@ def analyse(
         "residual": point.residual,
         "distance_deg": float(np.rad2deg(offset.max())),
         "state_rms": float(np.sqrt(np.mean(point.z[:-size] ** 2))),
-        "alpha": _alpha(stored, point.z, size),
+        "alpha": _alpha(stored, point.z, loop(point.z), size),
         "spectral_radius": radius,
         "decay_predicted": radius,
         "decay_measured": measured,
@@ -174,16 +174,17 @@ def analyse(
     return report, [norms for _, norms in decays]
 
 
-def _alpha(stored: "StoredPolicy", z: np.ndarray, size: int) -> float | None:
-    """alpha of a network that rests at z, by Eqs. 5 and 6; None without recall heads or calibration."""
+def _alpha(stored: "StoredPolicy", z: np.ndarray, after: np.ndarray, size: int) -> float | None:
+    """alpha of a network that rests at z, by Eqs. 5 and 6; None without recall heads or calibration.
+
+    `after`: what the map makes of z; its posture is the prediction.
+    """
     import torch
 
-    if stored.recall is None or stored.reference_errors is None or stored.beta is None or stored.gamma is None:
+    if stored.recall is None or stored.mean_errors is None or stored.beta is None or stored.gamma is None:
         return None
     with torch.no_grad():
         recalled = stored.recall(torch.from_numpy(z[None, :-size]).float())[0].double().numpy()
-    # At rest the prediction is what the regulator pulls against (n = 0).
-    pull = stored.regulator_gain * (z[-size:] - stored.scaling.scale(stored.initial_posture))
-    offsets = np.vstack((pull, recalled - z[-size:]))
-    errors = recall_errors(offsets, ARM_JOINTS, np.array(stored.reference_errors))
+    offsets = np.vstack((after[-size:], recalled)) - z[-size:]
+    errors = recall_errors(offsets, ARM_JOINTS, np.array(stored.mean_errors))
     return float(alpha_of(errors, stored.beta, stored.gamma))

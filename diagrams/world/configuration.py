@@ -100,6 +100,8 @@ class World:
     initial_joints_deg: list[float] = field(default_factory=lambda: [28.0, 30.0, 0.0, 83.0, 0.0, 62.0, 0.0])
     opening: float = 0.08  # gap of the open fingers, m
     closed_opening: float = 0.03  # commanded gap of the closed fingers, m: they stall on the can
+    close_below: float = 0.045  # predicted gap below which closed fingers are commanded, m
+    open_above: float = 0.065  # predicted gap above which open fingers are commanded, m
 
     @property
     def initial_posture(self) -> np.ndarray:
@@ -142,4 +144,9 @@ class World:
             raise InputError(
                 f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: "
                 "choose 0 <= closed_opening < opening"
+            )
+        if not self.closed_opening <= self.close_below < self.open_above <= self.opening:
+            raise InputError(
+                f"world.close_below {self.close_below} m and open_above {self.open_above} m do not fit: choose "
+                f"closed_opening {self.closed_opening} <= close_below < open_above <= opening {self.opening}"
             )

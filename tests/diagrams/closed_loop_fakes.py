@@ -1,7 +1,7 @@
 """Stand-ins for the trained networks that know the teacher's motion by heart: the closed loop without weights.
 
-They obey the same equations as the trained ones: all memory is in the hidden state, the prediction is the residual of
-the LQR, the recall tells where the arm should have been, and under alpha = 1 the network goes on in its own
+They obey the same equations as the trained ones: all memory is in the hidden state, the prediction is the next
+posture, the recall tells where the arm should have been, and under alpha = 1 the network goes on in its own
 imagination.
 """
 
@@ -16,7 +16,6 @@ from diagrams.world.trajectory import subtask_commands
 from models.data.scaling import MinMaxScaling
 
 WAITING, PICKING, PLACING, PICKING_AGAIN = range(4)
-SETTLING = 8  # ticks after a recovery in which SwitchedController does not listen to the network
 # Where the can stands on the mat, seen from the camera; in the hand and on the shelf it is elsewhere. Columns and rows,
 # pixels.
 MAT_COLUMNS, MAT_ROWS = slice(0, 56), slice(58, 112)
@@ -45,7 +44,6 @@ class FakePolicy:
 
     posture_size, feature_size, horizon = ARM_JOINTS + 1, FakeEncoder.feature_size, 10
     state_size = 3 + (horizon + 1) * posture_size
-    regulator_gain = 0.1
     beta, gamma = 30.0, 60.0
     hash = name = "fake"
 
@@ -60,8 +58,7 @@ class FakePolicy:
         self.initial_state = np.concatenate(
             ([WAITING, 0, 0], np.tile(self.scaling.scale(self.initial_posture), self.horizon + 1))
         )
-        # n = 0 compares with the prediction, which is the residual of the LQR and no posture: hardly to be relied on.
-        self.mean_errors = np.array([1.0] + [2e-6] * self.horizon)
+        self.mean_errors = np.full(self.horizon + 1, 2e-6)
         self.inputs = []
         self._paths = {}
 
@@ -88,9 +85,7 @@ class FakePolicy:
         home = self.scaling.scale(self.initial_posture)
         posture, features = x[: self.posture_size], x[self.posture_size :]
         doing, tick, had_can = (int(v) for v in state[:3])
-        if doing == WAITING:
-            tick = tick + 1 if features[0] > 0.5 else 0  # it sees the world, not its own imagination
-        if doing == WAITING and tick > SETTLING:  # from then on it is heard
+        if doing == WAITING and features[0] > 0.5:  # it sees the world, not its own imagination
             closed = posture[-1] < home[-1] - 0.3
             if features[1] > 0.5:
                 doing = PICKING_AGAIN if had_can and PICKING_AGAIN in self._paths else PICKING
@@ -106,8 +101,6 @@ class FakePolicy:
             tick += 1
             if tick == len(path):
                 doing, tick = WAITING, 0
-        residual = goal.copy()
-        residual[:-1] += self.regulator_gain * (posture - home)[:-1]
         expected = np.concatenate((here, state[3 : -self.posture_size]))
-        y, after = np.append(residual, np.zeros(self.feature_size)), np.append([doing, tick, had_can], expected)
+        y, after = np.append(goal, np.zeros(self.feature_size)), np.append([doing, tick, had_can], expected)
         return y, after, after[3 + self.posture_size :].reshape(self.horizon, self.posture_size)

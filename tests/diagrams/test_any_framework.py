@@ -32,17 +32,18 @@ def weights(tmp_path_factory):
 
 
 def test_it_flies(weights, tmp_path, monkeypatch):
-    """It predicts the posture it sees plus a drift of joint 1, from which the LQR's pull is still to be taken."""
+    """It predicts the posture it sees plus a drift of joint 1: that is the command, until the bounds clip it."""
     monkeypatch.chdir(tmp_path)
     words = ["--rnn", "handmade", "--weights", weights, "--disturbance", "none", "--record", "run.npz"]
     assert pick_place.main(pick_place.parse([*map(str, words)])) == 1  # it does not know the task
     record, outcome = load_record(tmp_path / "run.npz")
     assert (outcome["rnn"], outcome["switched"]) == ("handmade", False)
     assert record.hidden_state.shape[1] == 16
-    # The step is the drift less the pull home: joint 1 comes to rest where both are equal, a tenth of it a tick.
-    start, end = record.posture[0, 0], record.posture[-1, 0]
-    assert end - start == pytest.approx(DRIFT / 0.1, abs=0.02)
-    np.testing.assert_allclose(record.posture[-1, 1:7], record.posture[0, 1:7], atol=0.02)
+    steps = (record.desired_posture - record.posture)[:10]
+    np.testing.assert_allclose(steps, np.eye(8)[0] * DRIFT + np.zeros((10, 8)), atol=1e-6)
+    home = record.posture[0]
+    assert record.desired_posture[-1, 0] == pytest.approx(home[0] + 1.0)  # the header's upper bound
+    np.testing.assert_allclose(record.posture[-1, 1:7], home[1:7], atol=0.02)
 
 
 def test_a_sweep_takes_it_too(weights, tmp_path):

@@ -36,7 +36,7 @@ class FakePolicy:
     """Predicts `drift` from its input; its state is the last horizon inputs' postures, so it recalls exactly what it
     was fed, plus `nonsense`."""
 
-    def __init__(self, joints=3, feature_size=4, horizon=2, drift=0.01, nonsense=0.0, gain=0.1):
+    def __init__(self, joints=3, feature_size=4, horizon=2, drift=0.01, nonsense=0.0):
         self.posture_size = joints + 1
         self.feature_size = feature_size
         self.horizon = horizon
@@ -44,8 +44,7 @@ class FakePolicy:
         self.scaling = MinMaxScaling(-2.0 * np.ones(self.posture_size), np.arange(1.0, self.posture_size + 1))
         self.initial_posture = np.linspace(-0.5, 0.5, self.posture_size)
         self.initial_state = np.tile(self.scaling.scale(self.initial_posture), horizon + 1)
-        self.calibration = np.full(horizon + 1, 1e-4), 30.0, 60.0  # reference errors, beta, gamma
-        self.regulator_gain = gain
+        self.calibration = np.full(horizon + 1, 1e-4), 30.0, 60.0  # mean errors, beta, gamma
         self.drift, self.nonsense = drift, nonsense
         self.inputs, self.log = [], []
 
@@ -93,7 +92,9 @@ def make_controller(encoder=None, policy=None, detector=None, **arguments):
         regulator_R=90.0,
         joint_lower=np.full(n, -10.0),
         joint_upper=np.full(n, 10.0),
-        speed_limits=np.full(n, 100.0),
+        speed_limits=np.full(n - 1, 100.0),
+        finger_openings=(-1.0, 1.0),
+        finger_thresholds=(-0.25, 0.25),
         period=PERIOD,
     )
     encoder = encoder or FakeEncoder(policy.feature_size)
@@ -101,14 +102,32 @@ def make_controller(encoder=None, policy=None, detector=None, **arguments):
     return SwitchedController(encoder, policy, detector, **(defaults | arguments))
 
 
-class ClosedLoop:
-    """The controller with a calibration, a grey image, and an arm; optionally a log of an output at the ticks."""
+class Camera(LeafSystem):
+    """A grey image that is brighter at every tick, and that between them is as bright as at the next one."""
 
-    def __init__(self, controller, arm, calibration, logged=None):
+    def __init__(self):
+        super().__init__()
+        make = lambda: AbstractValue.Make(ImageRgba8U(112, 112))  # noqa: E731
+        self.DeclareAbstractOutputPort("rgb_image", make, self._calc, {self.time_ticket()})
+
+    def _calc(self, context, output):
+        output.get_mutable_value().mutable_data[:] = self.intensity(int(np.ceil(context.get_time() / PERIOD - 1e-6)))
+
+    @staticmethod
+    def intensity(k):
+        """At tick k: 0 to 255."""
+        return 20 + 37 * k % 200
+
+
+class ClosedLoop:
+    """The controller with a calibration, a camera (a grey image if None), and an arm; optionally a log of an output at
+    the ticks."""
+
+    def __init__(self, controller, arm, calibration, logged=None, camera=None):
         builder = DiagramBuilder()
         self.controller = builder.AddNamedSystem("controller", controller)
         self.arm = builder.AddNamedSystem("arm", arm)
-        camera = builder.AddNamedSystem("camera", ConstantValueSource(AbstractValue.Make(image())))
+        camera = builder.AddNamedSystem("camera", camera or ConstantValueSource(AbstractValue.Make(image())))
         builder.Connect(camera.get_output_port(), controller.GetInputPort("rgb_image"))
         builder.Connect(arm.get_output_port(), controller.GetInputPort("posture"))
         builder.Connect(controller.GetOutputPort("desired_posture"), arm.get_input_port())

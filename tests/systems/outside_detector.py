@@ -24,5 +24,5 @@ class FarFromHome(CalibratedDetector, LeafSystem):
     def build(policy, joints, arrays):
         return FarFromHome(policy, float(arrays["largest"][0]))
 
-    def calc_errors(self, context, reference_errors):
-        return np.abs(self.posture_history.Eval(context)[1:2]) / self._largest / reference_errors
+    def calc_errors(self, context, mean_errors):
+        return np.abs(self.posture_history.Eval(context)[1:2]) / self._largest / mean_errors

@@ -10,7 +10,6 @@ import yaml
 import systems
 from systems.alpha_mixer import AlphaMixer
 from systems.disturbance import Disturbance
-from systems.dwell_time import DwellTime
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector
 from systems.loop_closer import LoopCloser
@@ -26,10 +25,11 @@ from tests.systems.system_checks import assert_clone_replays
 M, F, N = 4, 4, 2
 POLICY_PORTS = ("predicted_posture", "predicted_features", "recalled_postures", "hidden_state")
 CLOSER_INPUTS = ("posture", "features", "predicted_posture", "predicted_features", "alpha")
-MIXER_INPUTS = ("posture", "predicted_posture", "regulator_step", "alpha", "last_alphas")
+MIXER_INPUTS = ("posture", "predicted_posture", "regulator_step", "alpha")
 
 
-LIMITS = dict(posture_size=M, joints=3, lower=-np.ones(M), upper=np.ones(M), max_step=np.ones(M))
+LIMITS = dict(posture_size=M, joints=3, lower=-np.ones(M), upper=np.ones(M), max_step=np.ones(3))
+LIMITS |= dict(finger_openings=(-0.5, 0.5), finger_thresholds=(-0.1, 0.1))
 WINDOW_FEEDTHROUGH = {("posture_history", o) for o in ("errors", "alpha")}
 DETECTOR_FEEDTHROUGH = {(i, o) for i in ("posture_history", "recalled_postures") for o in ("errors", "alpha")}
 CASES = {
@@ -37,7 +37,7 @@ CASES = {
     "RecurrentPolicy": (lambda: RecurrentPolicy(FakePolicy(), PERIOD), set()),
     "PostureHistory": (
         lambda: PostureHistory(posture_size=M, horizon=N, period=PERIOD, initial_posture=np.zeros(M)),
-        set(),
+        {("posture", "posture_history")},
     ),
     "LoopCloser": (
         lambda: LoopCloser(posture_size=M, feature_size=F),
@@ -52,16 +52,12 @@ CASES = {
     "NeverDetector": (lambda: NeverDetector(FakePolicy()), set()),
     "AlphaMixer": (
         lambda: AlphaMixer(**LIMITS),
-        {(i, "desired_posture") for i in MIXER_INPUTS} | {(i, "rnn_step") for i in MIXER_INPUTS[:2]},
+        {(i, "desired_posture") for i in MIXER_INPUTS} | {(i, "rnn_step") for i in MIXER_INPUTS[:3]},
     ),
     "RegulatedMixer": (
         lambda: RegulatedMixer(**LIMITS, initial_posture=np.zeros(M), Q=1.0, R=90.0, period=PERIOD),
-        {(i, "desired_posture") for i in ("posture", "predicted_posture", "alpha", "last_alphas")}
+        {(i, "desired_posture") for i in ("posture", "predicted_posture", "alpha")}
         | {("posture", "rnn_step"), ("predicted_posture", "rnn_step"), ("posture", "regulator_step")},
-    ),
-    "DwellTime": (
-        lambda: DwellTime(history=3, dwell_ticks=2),
-        {("detector_alpha", "alpha"), ("last_alphas", "alpha")},
     ),
     "Disturbance": (
         lambda: Disturbance(posture_size=M),
@@ -141,12 +137,10 @@ def test_topology_of_the_controller():
         "posture_history.posture -> regulated_mixer.posture",
         "posture_history.posture_history -> detector.posture_history",
         "image_encoder.features -> loop_closer.features",
-        "detector.alpha -> dwell_time.detector_alpha",
-        "dwell_time.alpha -> loop_closer.alpha",
-        "dwell_time.alpha -> regulated_mixer.alpha",
-        "dwell_time.alpha -> alpha_history.posture",
-        "alpha_history.posture_history -> regulated_mixer.last_alphas",
-        "alpha_history.posture_history -> dwell_time.last_alphas",
+        "detector.alpha -> loop_closer.alpha",  # this tick's, before the network steps
+        "detector.alpha -> alpha_hold.u",
+        "alpha_hold.y -> regulated_mixer.alpha",  # the same, held
+        "detector.errors -> errors_hold.u",
         "posture_scaling.y0 -> loop_closer.posture",  # not the sampled one: the update needs this tick's
         "posture_scaling.y0 -> posture_history.posture",
     }

@@ -27,15 +27,16 @@ def test_recurrent_policy_by_hand():
     found = outputs(system, context)
     assert found["predicted_posture"].tolist() == [0.75, 0.0]
     assert found["predicted_features"].tolist() == [0.5]
-    # Row 0: the prediction made before this tick; rows 1, 2: recalled from the new hidden state.
-    assert found["recalled_postures"] == pytest.approx(np.concatenate((initial, initial + 0.125, initial + 0.125)))
+    # Row 0: the prediction of the next tick; rows 1, 2: recalled from the new hidden state.
+    expected = np.concatenate(([0.75, 0.0], initial + 0.125, initial + 0.125))
+    assert found["recalled_postures"] == pytest.approx(expected)
 
     port.FixValue(context, [1.0, -2.0, 4.0])
     simulator.AdvanceTo(1.5 * PERIOD)
     found = outputs(system, context)
     assert found["predicted_posture"].tolist() == [1.0, -1.0]  # 1.25, -1.75 clipped
     assert found["predicted_features"].tolist() == [1.0]  # 2 clipped
-    expected = np.concatenate(([0.75, 0.0], [0.625, -0.125], initial + 0.125))
+    expected = np.concatenate(([1.0, -1.0], [0.625, -0.125], initial + 0.125))
     assert found["recalled_postures"] == pytest.approx(expected)
 
 

@@ -17,8 +17,8 @@ from tests.systems.system_checks import evaluate
 POLICY = SimpleNamespace(
     posture_size=3, horizon=3, state_size=2, scaling=MinMaxScaling([0.0, 8.0, -1.0], [2.0, 12.0, 1.0])
 )
-# Rows newest first; the window of 3 samples leaves the fourth out, the two joints the third component.
-HISTORY = np.array([[0.3, 0.0, 9.0], [0.2, 0.5, 9.0], [0.1, 0.0, 9.0], [7.0, 7.0, 9.0]])
+# Rows newest first; the window of 3 samples leaves the older ones out, the two joints the third component.
+HISTORY = np.array([[0.3, 0.0, 9.0], [0.2, 0.5, 9.0], [0.1, 0.0, 9.0], [7.0, 7.0, 9.0], [7.0, 7.0, 9.0]])
 INPUTS = dict(posture_history=HISTORY.ravel(), recalled_postures=np.full(12, 5.0), hidden_state=np.zeros(2))
 WINDOWS = np.array([[[1.0, 1.0, 1.0], [1.3, 1.2, 1.0]], [[10.0, 10.0, 10.0], [10.0, 14.0, 10.0]]])  # rad
 
@@ -55,13 +55,13 @@ def test_subspace_by_hand():
 @pytest.mark.parametrize("build", [knn, subspace])
 def test_ports_that_are_no_angles_of_the_window_do_not_count(build):
     other = HISTORY.copy()
-    other[:, 2], other[3] = -3.0, 1.0
+    other[:, 2], other[3:] = -3.0, 1.0
     inputs = INPUTS | dict(posture_history=other.ravel(), recalled_postures=np.zeros(12), hidden_state=np.ones(2))
     assert evaluate(build(), "errors", INPUTS).tobytes() == evaluate(build(), "errors", inputs).tobytes()
 
 
 def test_an_arm_that_stands_still_is_nothing_to_the_subspace():
-    still = np.tile([0.7, -0.2, 0.0], (4, 1))
+    still = np.tile([0.7, -0.2, 0.0], (5, 1))
     assert evaluate(subspace(), "errors", INPUTS | dict(posture_history=still.ravel())) == pytest.approx(0.0, abs=1e-12)
 
 
@@ -90,7 +90,7 @@ def test_both_agree_with_scikit_learn():
 @pytest.mark.parametrize(("size", "expected"), [(0.0, 0.0), (1e9, 1.0)])
 @pytest.mark.filterwarnings("error")
 def test_extreme_errors_are_safe(build, size, expected):
-    spike = np.zeros((4, 3))
+    spike = np.zeros((5, 3))
     spike[1] = size
     inputs = INPUTS | dict(posture_history=spike.ravel())
     assert evaluate(build(), "alpha", inputs, ([1.0, 1.0], 30.0, 60.0)) == pytest.approx([expected], abs=1e-100)
@@ -107,7 +107,7 @@ def test_they_fit_a_controller(build):
         (knn, np.zeros((2, 0, 3)), r"windows has shape \(2, 0, 3\).*fit again"),
         (knn, np.full((2, 4, 3), np.nan), "finite"),
         (knn, np.zeros((4, 1, 3)), "joints is 4.*at most 3"),
-        (knn, np.zeros((2, 1, 5)), "window is 5.*at most 4"),
+        (knn, np.zeros((2, 1, 6)), "window is 6.*at most 5"),
         (subspace, np.ones((2, 3, 2)), "not orthonormal"),
         (subspace, np.ones(3), r"axes has shape \(3,\)"),
     ],

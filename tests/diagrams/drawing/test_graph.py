@@ -10,7 +10,7 @@ from models.errors import InputError
 
 SYSTEMS = (
     "switched_controller", "station", "disturbance", "image_encoder", "recurrent_policy", "posture_history",
-    "loop_closer", "detector", "dwell_time", "regulated_mixer", "plant", "approach_meter",
+    "loop_closer", "detector", "alpha_hold", "errors_hold", "regulated_mixer", "plant", "approach_meter",
 )  # fmt: skip
 
 

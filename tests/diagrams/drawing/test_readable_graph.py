@@ -10,5 +10,5 @@ def test_graph_shows_wired_ports_with_names(rollout):
     assert "applied_spatial_force" not in text
     for anonymous in (">u0<", ">y0<", ">u1<", ">u<", ">y<"):
         assert anonymous not in text
-    for name in ("arm_desired_state", "predicted_features", "recalled_postures", "last_alphas", "posture_scaling"):
+    for name in ("arm_desired_state", "predicted_features", "recalled_postures", "alpha_hold", "posture_scaling"):
         assert f">{name}<" in text

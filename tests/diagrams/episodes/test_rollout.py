@@ -4,7 +4,7 @@ import base64
 import itertools
 import json
 import re
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import cv2
 import numpy as np
@@ -121,13 +121,15 @@ def test_ticks_are_aligned(undisturbed, policy, world):
 
 def test_command_of_a_tick_is_equation_3(undisturbed, moved_with_the_can, world):
     for run in (undisturbed, moved_with_the_can):
-        record = run.record
-        padded = np.append(np.zeros(8), record.alpha)
-        last = np.lib.stride_tricks.sliding_window_view(padded, 9)  # up to alpha_k
-        # The joints wait for one tick under a low alpha, the fingers for eight.
-        alpha = np.column_stack([last[:, -2:].max(axis=1)] * ARM_JOINTS + [last.max(axis=1)])
-        mixed = record.posture + (1 - alpha) * record.rnn_step + record.regulator_step
-        assert record.desired_posture == pytest.approx(mixed, abs=1e-9)
+        record, joints = run.record, np.s_[:, :ARM_JOINTS]
+        mixed = record.posture + (1 - record.alpha[:, None]) * record.rnn_step + record.regulator_step
+        assert record.desired_posture[joints] == pytest.approx(mixed[joints], abs=1e-9)
+        # The fingers take two values, as predicted, and keep theirs under alpha >= 1/2.
+        command, predicted = record.desired_posture[:, -1], record.posture[:, -1] + record.rnn_step[:, -1]
+        assert np.isin(command.round(9), (world.opening, world.closed_opening)).all()
+        kept = (record.alpha >= 0.5) | ((predicted > 0.045) & (predicted < 0.065))
+        assert np.array_equal(command[kept], record.posture[kept, -1])
+        assert np.array_equal(command[~kept] > 0.055, predicted[~kept] > 0.055)
         pull = -0.1 * (record.posture - world.initial_posture)
         pull[:, -1] = 0.0
         assert record.regulator_step == pytest.approx(pull, abs=1e-6)
@@ -142,10 +144,10 @@ def test_arm_has_followed_the_command_by_the_next_tick(undisturbed):
     assert np.array_equal(record.posture[1:, -1], record.desired_posture[:-1, -1])
 
 
-def test_loop_is_closed_with_alpha_of_the_tick_before(moved_with_the_can, policy):
+def test_loop_is_closed_with_alpha_of_the_tick(moved_with_the_can, policy):
     record, inputs = moved_with_the_can.record, moved_with_the_can.inputs
     assert record.alpha.max() > 0.999
-    share = 1.0 - np.append(0.0, record.alpha[:-1])
+    share = 1.0 - record.alpha
     assert np.array_equal(inputs, record.network_input)
     # The fake sees 1 in its first feature, and predicts 0.
     assert inputs[:, 8] == pytest.approx(share, abs=1e-12)
@@ -287,7 +289,7 @@ def test_a_tick_renders_once_where_a_picture_is_needed(rollout, policy, moved_wi
     context = camera.GetMyMutableContextFromRoot(simulator.get_mutable_context())
     entries = (camera.get_cache_entry(CacheIndex(i)) for i in itertools.count())
     picture = next(entry for entry in entries if "color_image" in entry.description())
-    needed = np.append(True, whole.alpha[:-1] != 1.0)
+    needed = whole.alpha != 1.0
     rendered = np.zeros(len(needed), int)
     steps = round(0.1 / rollout.world.timing.time_step)
     for step in range(steps * len(needed)):  # after each, the plant has moved, and the picture is out of date
@@ -458,13 +460,6 @@ def test_pictures_are_kept_where_asked_for(rollout, policy, undisturbed):
     assert record.pictures.dtype == np.uint8
     assert record.posture.tobytes() == undisturbed.record.posture[:12].tobytes()
     assert len(undisturbed.record.pictures) == 0
-
-
-def test_another_gain_than_the_trained_one_is_refused(encoder, policy):
-    world = World()
-    world.regulator = replace(world.regulator, input_weight=10.0)
-    with pytest.raises(ValueError, match=r"was trained with 0\.1"):
-        Rollout(world, encoder, policy)
 
 
 def test_replay_and_film_are_written(world, encoder, policy, tmp_path):

@@ -39,7 +39,7 @@ def test_report_by_hand():
     assert found["trials"] == {"tpe": 4, "random": 1, "cmaes": 0}
     assert found["trials_to_first"] == {"tpe": 2, "random": 1, "cmaes": None}
     assert found["smallest_magnitude"]["cmaes"] is None
-    assert found["failures"]["tpe"] == {"not detected": 0, "not returned": 2, "not resumed": 0}
+    assert found["failures"]["tpe"] == {"not detected": 0, "not returned": 2, "not resumed": 0, "switched again": 0}
     json.dumps(found, allow_nan=False)
 
 
@@ -55,7 +55,8 @@ def test_scenario_gives_the_same_bits_back(tmp_path, world, sampler, seed, kind)
     save_scenario(tmp_path / "s.yaml", scenario_of(world, episode, "lstm", episode.disturbance))
     scenario = load_scenario(tmp_path / "s.yaml")
     scenario.check()
-    assert sampler.episode(scenario) == episode
+    # Of a disturbance that is given it isn't known whether the way home is clear.
+    assert sampler.episode(scenario) == (episode if kind == "none" else replace(episode, way_home_clear=None))
 
 
 def test_counterexample_replays_bit_by_bit(rollout, policy, world, sampler, tmp_path):

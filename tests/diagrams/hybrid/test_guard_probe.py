@@ -30,10 +30,9 @@ def test_the_controller_samples_the_arm_where_it_was_put(rollout, policy):
     displacement = np.deg2rad([12.0, -3.0, 0.0, 8.0, 0.0, 5.0, -9.0])
     probe(displacement)
     controller = rollout.controller
-    history = controller.GetOutputPort("posture_history").Eval(
-        controller.GetMyContextFromRoot(rollout.simulator.get_context())
-    )
-    assert policy.scaling.unscale(history[:8])[:7] == pytest.approx(probe.joints + displacement, abs=1e-9)
+    context = controller.GetMyContextFromRoot(rollout.simulator.get_context())
+    sampled = controller.GetOutputPort("measured_posture").Eval(context)
+    assert sampled[:7] == pytest.approx(probe.joints + displacement, abs=1e-9)
 
 
 def test_the_same_displacement_gives_the_same_bits(probe):

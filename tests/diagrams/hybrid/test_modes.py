@@ -40,17 +40,19 @@ def test_stays_and_crossings_by_hand():
 def test_reset_compares_the_prediction_with_what_came():
     run = sequence([0, 1, 1, 0, 0])
     found, (reset,) = record_of([0, 1, 1, 0, 0]), run.resets
-    # alpha_3 = 0: the network sees m_4 (Eqs. 7, 8); with alpha_3 = 1 it would have seen what it predicted at tick 3.
-    jump = np.abs(found.posture[4] - (found.posture[3] + found.rnn_step[3]))
-    assert reset.time == pytest.approx(0.4)
+    # alpha_3 = 0: the network sees m_3 (Eqs. 7, 8); with alpha_3 = 1 it would have seen what it predicted at tick 2,
+    # m^R_3 = m_2 + dm^R_2 + dm^L_2.
+    jump = np.abs(found.posture[3] - (found.posture[2] + found.rnn_step[2] + found.regulator_step[2]))
+    assert reset.time == pytest.approx(0.3)
     assert reset.joint_jump_deg == pytest.approx(np.rad2deg(jump[:7].max()))
     assert reset.finger_jump_m == pytest.approx(jump[7])
-    assert reset.home_distance_deg == pytest.approx(np.rad2deg(np.abs(found.posture[4, :7]).max()))
+    assert reset.home_distance_deg == pytest.approx(np.rad2deg(np.abs(found.posture[3, :7]).max()))
     assert reset.state_rms == 0.5
 
 
-def test_a_reset_at_the_last_tick_is_none_yet():
-    assert sequence([0, 1, 1, 0]).resets == []
+def test_each_fall_of_alpha_is_a_reset():
+    assert [reset.time for reset in sequence([0, 1, 1, 0, 0, 1, 0]).resets] == pytest.approx([0.3, 0.6])
+    assert sequence([1, 1]).resets == []
 
 
 def test_run_in_one_mode_has_no_crossing():

@@ -40,10 +40,10 @@ def test_inventory_of_the_whole_loop(rollout):
         owners[state["owner"]] = owners.get(state["owner"], 0) + state["size"]
     # Plant: 7 joints, 2 fingers, two free cans: 9 + 2 * 7 positions, 9 + 2 * 6 velocities.
     assert owners["station/plant"] == 23 + 21
-    # Of alpha and of the posture: the last sample, and the history.
-    assert owners["switched_controller/alpha_history"] == 1 + 8
     assert owners["disturbance"] == 1 + 8
-    assert owners["switched_controller/posture_history"] == 8 + 11 * 8
+    # N + 1 = 11 postures; what the detector said at the tick.
+    assert owners["switched_controller/posture_history"] == 11 * 8
+    assert (owners["switched_controller/alpha_hold"], owners["switched_controller/errors_hold"]) == (1, 11)
     periods = {state["owner"]: state["period"] for state in found["states"]}
     assert periods.pop("station/plant") == 0.0125
     assert set(periods.values()) == {0.1}

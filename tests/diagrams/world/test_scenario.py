@@ -81,6 +81,9 @@ def test_choices_are_checked(change, named):
         ("regulator", {"input_weight": 0.0}, "world.regulator.input_weight is 0.0"),
         (None, {"initial_joints_deg": [1.0]}, "world.initial_joints_deg has shape"),
         (None, {"opening": 0.02}, "opening 0.02 m do not fit"),
+        (None, {"close_below": 0.02}, "close_below 0.02 m and open_above 0.065 m do not fit.*opening 0.08"),
+        (None, {"open_above": 0.045}, "open_above 0.045 m do not fit"),
+        (None, {"open_above": 0.09}, "open_above 0.09 m do not fit"),
     ],
 )
 def test_what_is_no_world_is_named(part, values, named):
