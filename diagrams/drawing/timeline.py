@@ -10,7 +10,7 @@ from diagrams.episodes.record import Record
 from diagrams.episodes.switching import GUARD
 from diagrams.world.names import ARM_JOINTS
 
-LABELLED = ("disturb", "switched", "initial posture", "resumes", "picked", "placed", "taken")
+LABELLED = ("disturb", "switched", "initial posture", "resumes", "picked", "placed", "elsewhere")
 
 
 def save_timeline(record: Record, path: Path, title: str) -> None:

@@ -119,7 +119,7 @@ def test_nothing_is_tuned_on_evaluation_episodes(folder, data, asked):
 
 
 def test_it_goes_on_after_a_kill_and_adds_policies(folder, data, asked, monkeypatch):
-    save_untrained(folder / "other", gain=0.2)
+    save_untrained(folder / "other", gamma=20.0)
     (folder / "other" / "lstm.onnx").rename(folder / "lstm-1.onnx")
     policies = [folder / "lstm.onnx", folder / "lstm-1.onnx"]
     given = arguments(folder, data, policies=policies, detector=["subspace"])

@@ -95,7 +95,6 @@ def test_damaged_weights_are_one_clear_line(tmp_path, untrained):
     ("changes", "named"),
     [
         ({"encoder_hash": "0" * 64}, "the policy was trained with 0000"),
-        ({"gain": 0.2}, "LQR gain"),
         ({"calibrated": False}, "no calibration"),
     ],
 )

@@ -168,7 +168,7 @@ def test_an_episode_under_which_workers_die_is_a_row(tmp_path, weights, monkeypa
 def test_other_weights_do_not_mix(tmp_path, weights, faked):
     assert run(weights, tmp_path / "out") == 0
     (tmp_path / "weights").mkdir()
-    others = save_untrained(tmp_path / "weights", gain=0.2)
+    others = save_untrained(tmp_path / "weights", gamma=20.0)
     with pytest.raises(InputError, match="episodes of other weights"):
         run(others, tmp_path / "out")
 

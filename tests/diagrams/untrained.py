@@ -16,11 +16,9 @@ from models.networks.recall import RecallHeads
 from models.networks.rnn import make_rnn
 from tests.models import handmade
 
-GAIN = 0.1  # the LQR's, of weights 1 and 90
-
 
 @functools.cache
-def _untrained_policy(calibrated: bool, encoder_hash: str, gain: float) -> bytes:
+def _untrained_policy(calibrated: bool, encoder_hash: str, gamma: float) -> bytes:
     """The content of the file: exported once for all tests of a process."""
     torch.manual_seed(0)
     rnn, posture = make_rnn("lstm"), World().initial_posture
@@ -28,20 +26,20 @@ def _untrained_policy(calibrated: bool, encoder_hash: str, gain: float) -> bytes
     policy = StoredPolicy(
         rnn=rnn, recall=RecallHeads(rnn.state_size, 8), name="lstm",
         scaling=MinMaxScaling(posture - reach, posture + reach),
-        initial_posture=posture, regulator_gain=gain, metadata={"training": {"seed": 0}}, encoder_hash=encoder_hash,
+        initial_posture=posture, regulator_gain=0.1, metadata={"training": {"seed": 0}}, encoder_hash=encoder_hash,
         mean_errors=np.full(11, 1e-9) if calibrated else None,
         reference_errors=np.full(11, 1e-9) if calibrated else None,
-        beta=30.0 if calibrated else None, gamma=10.0 if calibrated else None,
+        beta=30.0 if calibrated else None, gamma=gamma if calibrated else None,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         save_policy(Path(folder, "lstm.onnx"), policy)
         return Path(folder, "lstm.onnx").read_bytes()
 
 
-def save_untrained(folder: Path, calibrated: bool = True, encoder_hash: str | None = None, gain: float = GAIN) -> Path:
+def save_untrained(folder: Path, calibrated: bool = True, encoder_hash: str | None = None, gamma: float = 10.0) -> Path:
     """Writes encoder.onnx, decoder.onnx and lstm.onnx into `folder`; the detector notices everything."""
     for name, graph in (("encoder", handmade.encoder()), ("decoder", handmade.decoder())):
         write_graph(folder / f"{name}.onnx", graph.SerializeToString(), {"kind": name, "metadata": {}})
     encoder_hash = encoder_hash or file_hash(folder / "encoder.onnx")
-    (folder / "lstm.onnx").write_bytes(_untrained_policy(calibrated, encoder_hash, gain))
+    (folder / "lstm.onnx").write_bytes(_untrained_policy(calibrated, encoder_hash, gamma))
     return folder
