@@ -1,7 +1,7 @@
 """The recurrent network with its recall heads as a discrete-time system (Secs. III-B and III-C)."""
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from systems.arguments import require_count, require_positive, require_vector
 
@@ -17,11 +17,11 @@ class RecurrentPolicy(LeafSystem):
 
     Inputs:
         network_input: (M + F,) the scaled posture and the image features, x_k of Eqs. 7 and 8; dimensionless.
-    Outputs (all of them state, none has direct feedthrough; after the update of tick k):
+    Outputs (of the state alone, none has direct feedthrough; after the update of tick k):
         predicted_posture: (M,) m^R_{k+1}, scaled, clipped to [-1, 1].
         predicted_features: (F,) f^R_{k+1}, clipped to [-1, 1].
-        recalled_postures: ((N + 1) M,) scaled, row by row: row 0 is m^R_{k+1}, the prediction (Eq. 6); row n is
-            m^R_{k-n}, recalled from c_k (Eq. 5). What the detector reads at tick k + 1.
+        recalled_postures: ((N + 1) M,) scaled, row by row: row 0 is m^R_{k+1}, predicted, row n is m^R_{k-n},
+            recalled from c_k. What the detector reads at tick k + 1.
         hidden_state: (S,) c_k, dimensionless.
 
     Before the first tick: c_0; the initial posture, where the arm rests, as prediction and as all that is recalled;
@@ -47,15 +47,18 @@ class RecurrentPolicy(LeafSystem):
         posture = np.clip(policy.scaling.scale(initial_posture), -1.0, 1.0)
 
         self._network_input = self.DeclareVectorInputPort("network_input", self._posture_size + self._feature_size)
-        self._predicted_posture = self.DeclareDiscreteState(posture)
         self._predicted_features = self.DeclareDiscreteState(np.zeros(self._feature_size))
         self._recalled = self.DeclareDiscreteState(np.tile(posture, self._horizon + 1))
         self._hidden = self.DeclareDiscreteState(initial_state)
-        self.DeclareStateOutputPort("predicted_posture", self._predicted_posture)
+        of_recall = {self.discrete_state_ticket(self._recalled)}
+        self.DeclareVectorOutputPort("predicted_posture", self._posture_size, self._calc_prediction, of_recall)
         self.DeclareStateOutputPort("predicted_features", self._predicted_features)
         self.DeclareStateOutputPort("recalled_postures", self._recalled)
         self.DeclareStateOutputPort("hidden_state", self._hidden)
         self.DeclarePeriodicDiscreteUpdateEvent(require_positive("period", period), 0.0, self._update)
+
+    def _calc_prediction(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_discrete_state(self._recalled).value()[: self._posture_size])
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         x = self._network_input.Eval(context)
@@ -72,6 +75,5 @@ class RecurrentPolicy(LeafSystem):
             )
         y = np.clip(y, -1.0, 1.0)
         discrete_state.set_value(self._recalled, np.concatenate((y[: self._posture_size], np.ravel(recalled))))
-        discrete_state.set_value(self._predicted_posture, y[: self._posture_size])
         discrete_state.set_value(self._predicted_features, y[self._posture_size :])
         discrete_state.set_value(self._hidden, hidden)
