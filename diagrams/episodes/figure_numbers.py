@@ -44,7 +44,7 @@ def choose_records(paths: list[Path], weights_hash: str) -> dict[str, tuple[Reco
     def merit(run: tuple[Record, dict]) -> tuple[int, bool]:
         record, outcome = run
         taken = any("taken" in what for _, what in record.events)
-        return bool(outcome["success"]) + outcome["switch_success"], taken
+        return bool(outcome["success"]) + bool(outcome["switch_success"]), taken
 
     found: dict[str, tuple[Record, dict]] = {}
     files = find_records(paths)

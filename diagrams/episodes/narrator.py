@@ -7,6 +7,8 @@ import numpy as np
 from diagrams.episodes.switching import GUARD, RESUMED
 from diagrams.world.task import TaskMonitor
 
+MOVED_CAN = "the can is moved on the desk"
+
 
 class Narrator:
     """Turns the ticks of a run into events (s, what happened)."""
@@ -39,7 +41,12 @@ class Narrator:
         placed = bool(monitor.placed(cans))
         returning = alpha >= GUARD or (self._was.get("returning", False) and alpha > RESUMED)
         for name, now, begins, ends in (
-            ("taken", taken, "the can is put elsewhere on the desk", None),
+            (
+                "taken",
+                taken,
+                "the can is taken from the hand and put elsewhere on the desk" if active else MOVED_CAN,
+                None,
+            ),
             ("subtask 1", not held and not placed, "subtask 1: pick the can", None),
             ("disturbed", active, "the experimenter disturbs the arm", "the experimenter lets the arm go"),
             ("returning", returning, "recall fails: switched to the LQR", "recalls again: the network resumes"),

@@ -199,7 +199,7 @@ def test_robbed_hand_goes_home_and_picks_the_can_up_again(robbed):
     assert_task_done(robbed)
     assert robbed.outcome.switch_success
     words = robbed.words()
-    assert "the can is put elsewhere on the desk" in words
+    assert "the can is taken from the hand and put elsewhere on the desk" in words
     assert words.count("picked; subtask 2: place the can") == 2
     active = np.flatnonzero(robbed.record.active)
     assert np.array_equal(active, np.arange(active[0], active[0] + 20))
@@ -266,7 +266,7 @@ def test_a_can_alone_is_moved_while_the_hand_comes(rollout, policy, encoder, und
     assert np.abs(np.diff(record.posture[first : first + 5, :7], axis=0)).max(axis=1).min() > np.deg2rad(0.1)  # no stop
     assert (outcome.void, outcome.success, outcome.switch_success, outcome.returned) == (False, False, True, None)
     assert outcome.detection_delay_s is None
-    assert "the can is put elsewhere on the desk" in run.words()
+    assert "the can is moved on the desk" in run.words()
 
 
 def test_the_can_is_where_it_was_put_at_once(robbed):
@@ -277,7 +277,7 @@ def test_the_can_is_where_it_was_put_at_once(robbed):
     assert before[6] > 0.15
     # One plant step of rest, or of falling within it, at most.
     assert after[:7] == pytest.approx([1, 0, 0, 0, x, y, CAN_HALF_HEIGHT], abs=1e-3)
-    assert robbed.words().index("the can is put elsewhere on the desk") > 0
+    assert robbed.words().index("the can is taken from the hand and put elsewhere on the desk") > 0
 
 
 def test_a_tick_renders_once_where_a_picture_is_needed(rollout, policy, moved_with_the_can):
