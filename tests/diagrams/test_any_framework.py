@@ -23,8 +23,8 @@ def weights(tmp_path_factory):
     posture = World().initial_posture
     header = {
         "kind": "policy", "format": 1, "name": "handmade", "lower": (posture - 1.0).tolist(),
-        "upper": (posture + 1.0).tolist(), "initial_posture": posture.tolist(), "regulator_gain": 0.1,
-        "encoder_hash": file_hash(folder / "encoder.onnx"), "mean_errors": [1.0] * 3, "reference_errors": [1.0] * 3,
+        "upper": (posture + 1.0).tolist(), "initial_posture": posture.tolist(),
+        "encoder_hash": file_hash(folder / "encoder.onnx"), "mean_errors": [1.0] * 3,
         "beta": 30.0, "gamma": 10.0,
     }  # fmt: skip
     onnx.save(handmade.policy(json.dumps(header), drift=DRIFT), folder / "handmade.onnx")

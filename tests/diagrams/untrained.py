@@ -26,9 +26,8 @@ def _untrained_policy(calibrated: bool, encoder_hash: str, gamma: float) -> byte
     policy = StoredPolicy(
         rnn=rnn, recall=RecallHeads(rnn.state_size, 8), name="lstm",
         scaling=MinMaxScaling(posture - reach, posture + reach),
-        initial_posture=posture, regulator_gain=0.1, metadata={"training": {"seed": 0}}, encoder_hash=encoder_hash,
+        initial_posture=posture, metadata={"training": {"seed": 0}}, encoder_hash=encoder_hash,
         mean_errors=np.full(11, 1e-9) if calibrated else None,
-        reference_errors=np.full(11, 1e-9) if calibrated else None,
         beta=30.0 if calibrated else None, gamma=gamma if calibrated else None,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
