@@ -28,7 +28,7 @@ class RecurrentNetwork(nn.Module, ABC):
     """
 
     name: str
-    training_defaults: ClassVar[dict[str, Any]] = {"steps": 6_000, "posture_weight": 15.0, "learning_rate": 1e-3}
+    training_defaults: ClassVar[dict[str, Any]] = {"steps": 8_000, "posture_weight": 15.0, "learning_rate": 1e-3}
 
     def __init__(self, posture_size: int, feature_size: int, state_size: int, output_from: int) -> None:
         super().__init__()
