@@ -24,9 +24,12 @@ class CaeOptions(TrainingOptions):
         foreground_weight: weight of a pixel that differs from the median picture; 1 is the paper's plain MSE.
         foreground_threshold: from that difference on, of [0, 1], in any channel.
         feature_activation: "tanh", or the paper's "relu".
-        feature_noise: std of Gaussian noise on the features, which spreads them over their range.
+        feature_noise: std of Gaussian noise on the features. It spreads them over their range, and keeps pictures that
+            differ little near each other there: so a can between two trained positions lies between their features.
         noise: std of Gaussian noise on the input pixels, of [0, 1].
         colour: half range of the random brightness, contrast and channel gains.
+        shift: largest shift of a picture in x and y, as it goes in and as it shall come out, pixels: the can then
+            stands between the trained positions too, where its features would else be anything.
         learning_rate: of Adam, decays to a hundredth by a cosine.
         checkpoint_every: updates between checkpoints.
         precision: of convolutions and full layers. "auto" takes bfloat16 where the processor or the GPU multiplies it,
@@ -38,9 +41,10 @@ class CaeOptions(TrainingOptions):
     foreground_weight: float = 16.0
     foreground_threshold: float = 0.08
     feature_activation: str = "tanh"
-    feature_noise: float = 0.03
+    feature_noise: float = 0.1
     noise: float = 0.02
     colour: float = 0.05
+    shift: int = 2
     learning_rate: float = 1e-3
     checkpoint_every: int = 200
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -82,6 +86,19 @@ def augment(image: Tensor, noise: float, colour: float, generator: torch.Generat
     return (image - 0.5) * gain + (0.5 + offset) + noise * grain
 
 
+def shifted(image: Tensor, mask: Tensor, most: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """(B, 3, S, S) and (B, 1, S, S), each pair moved by 0 to `most` whole pixels in x and in y; the edges repeat."""
+    size, device = image.shape[-1], image.device
+    by = torch.randint(-most, most + 1, (2, len(image), 1), generator=generator)
+    rows, columns = (torch.arange(size) + by).clamp(0, size - 1).to(device)
+    each = torch.arange(len(image), device=device)[:, None, None]
+
+    def move(x: Tensor) -> Tensor:
+        return x.permute(0, 2, 3, 1)[each, rows[:, :, None], columns[:, None, :]].permute(0, 3, 1, 2)
+
+    return move(image), move(mask)
+
+
 class CaeTraining(Training):
     """The autoencoder under training. Batches are uint8 (B, 112, 112, 3)."""
 
@@ -107,14 +124,15 @@ class CaeTraining(Training):
         """Eq. 1 from an augmented to the clean picture, weighted."""
         options, generator, device = self.options, step_generator(self.options.seed, step), self.median.device
         clean = to_image(batch.to(device))
+        # What stands still in all pictures is most of the area and tells nothing: the can is a few dozen pixels.
+        moving = (clean - self.median).abs().amax(1, keepdim=True) > options.foreground_threshold
+        clean, moving = shifted(clean, moving, options.shift, generator)
         disturbed = augment(clean, options.noise, options.colour, generator)
         with torch.autocast(device.type, torch.bfloat16, enabled=options.precision == "bfloat16"):
             feature = self.model.encode(disturbed).float()
             noise = torch.randn(feature.shape, generator=generator).to(device)
             decoded = self.model.decode(feature + options.feature_noise * noise)
         error = (decoded.float() - clean).square()
-        # What stands still in all pictures is most of the area and tells nothing: the can is a few dozen pixels.
-        moving = (clean - self.median).abs().amax(1, keepdim=True) > options.foreground_threshold
         weight = 1.0 + (options.foreground_weight - 1.0) * moving
         loss = (weight * error).mean() / weight.mean()
         return loss, {"loss": loss, "mse": error.mean(), "least_feature_std": feature.std(0).min()}

@@ -15,7 +15,7 @@ from models.files.weights import load_policy, save_policy
 from models.inference import Policy
 from models.networks import NETWORKS
 from models.training.__main__ import main, parse
-from models.training.cae import CaeOptions, CaeTraining, augment, load_frames, median_image
+from models.training.cae import CaeOptions, CaeTraining, augment, load_frames, median_image, shifted
 from models.training.recall import RecallOptions, RecallTraining, train_recall
 from models.training.rnn import RnnOptions, RnnTraining, posture_scaling, train_rnn
 from models.training.trainer import step_generator
@@ -65,9 +65,26 @@ def test_augmentation_is_small_and_repeatable() -> None:
     assert torch.equal(augment(image, 0.0, 0.0, step_generator(0, 5)), (image - 0.5) + 0.5)
 
 
+def test_shifted_pictures_are_moved_whole_and_their_masks_with_them() -> None:
+    image = torch.arange(2 * 3 * 6 * 6.0).reshape(2, 3, 6, 6)
+    mask = image[:, :1] % 5 == 0
+    seen = set()
+    for step in range(40):
+        moved, also = shifted(image, mask, 1, step_generator(0, step))
+        assert torch.equal(also, moved[:, :1] % 5 == 0)
+        for before, after in zip(image, moved, strict=True):
+            # Off the edges it is the same picture, dy rows and dx columns on.
+            dy, dx = next((y, x) for y in (0, 1, 2) for x in (0, 1, 2) if after[0, 1, 1] == before[0, y, x])
+            assert torch.equal(after[:, 1:5, 1:5], before[:, dy : dy + 4, dx : dx + 4])
+            assert after[0, 0, 0] == before[0, max(dy - 1, 0), max(dx - 1, 0)]  # the edges repeat
+            seen.add((dy, dx))
+    assert len(seen) == 9
+    assert torch.equal(shifted(image, mask, 0, step_generator(0, 0))[0], image)
+
+
 def test_weighted_loss_counts_a_moving_pixel_sixteen_fold(data_file: Path, tmp_path: Path) -> None:
     frames = np.full((2, 112, 112, 3), 50, np.uint8)
-    options = CaeOptions(data=data_file, out=tmp_path, noise=0.0, colour=0.0, feature_noise=0.0)
+    options = CaeOptions(data=data_file, out=tmp_path, noise=0.0, colour=0.0, feature_noise=0.0, shift=0)
     losses = {}
     for weight in (1.0, 16.0):
         training = CaeTraining(replace(options, foreground_weight=weight), frames, {})
