@@ -36,7 +36,7 @@ class CaeOptions(TrainingOptions):
             at about twice the speed, and float32 elsewhere; weights, sums over a batch and the loss are float32.
     """
 
-    max_images: int = 90_000
+    max_images: int = 40_000
     batch_size: int = 64
     foreground_weight: float = 16.0
     foreground_threshold: float = 0.08
