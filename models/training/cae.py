@@ -24,19 +24,18 @@ class CaeOptions(TrainingOptions):
         foreground_weight: weight of a pixel that differs from the median picture; 1 is the paper's plain MSE.
         foreground_threshold: from that difference on, of [0, 1], in any channel.
         feature_activation: "tanh", or the paper's "relu".
-        feature_noise: std of Gaussian noise on the features. It spreads them over their range, and keeps pictures that
-            differ little near each other there: so a can between two trained positions lies between their features.
+        feature_noise: std of Gaussian noise on the features, which spreads them over their range.
         noise: std of Gaussian noise on the input pixels, of [0, 1].
         colour: half range of the random brightness, contrast and channel gains.
-        shift: largest shift of a picture in x and y, as it goes in and as it shall come out, pixels: the can then
-            stands between the trained positions too, where its features would else be anything.
+        shift: largest shift of a picture in x and y, as it goes in and as it shall come out, whole pixels: the can is
+            then seen between the trained positions too.
         learning_rate: of Adam, decays to a hundredth by a cosine.
         checkpoint_every: updates between checkpoints.
         precision: of convolutions and full layers. "auto" takes bfloat16 where the processor or the GPU multiplies it,
             at about twice the speed, and float32 elsewhere; weights, sums over a batch and the loss are float32.
     """
 
-    max_images: int = 90_000
+    max_images: int = 40_000
     batch_size: int = 64
     foreground_weight: float = 16.0
     foreground_threshold: float = 0.08
