@@ -42,10 +42,9 @@ s/--gamma 3 10 20 40 80 200/--gamma 3 20/
 s/ --steps [0-9]+//
 /training rnn/s/$/ --steps 4 --checkpoint-every 2 --validate-every 4/
 /training recall/s/$/ --steps 2 --checkpoint-every 1/
-s/8000 10000/2 4/
-s/rnn-(16000|24000)\.onnx/rnn-4.onnx/
+s/rnn-(6000|16000)\.onnx/rnn-4.onnx/
 # Networks of a few updates finish no task: the calibration takes the shipped ones.
-/calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/encoder.onnx --episodes 2 --disturbed 2/
+/calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/encoder.onnx --episodes 2 --disturbed 2 --runs 2/
 /calibrate\.py/s/--candidates [^ ]+/--candidates models\/weights\/lstm.onnx/
 /baselines\.py/s/lstm\*\.onnx/lstm.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
