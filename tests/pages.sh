@@ -42,7 +42,7 @@ s/--gamma 3 10 20 40 80 200/--gamma 3 20/
 s/ --steps [0-9]+//
 /training rnn/s/$/ --steps 4 --checkpoint-every 2 --validate-every 4/
 /training recall/s/$/ --steps 2 --checkpoint-every 1/
-s/rnn-(6000|16000)\.onnx/rnn-4.onnx/
+s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 # Networks of a few updates finish no task: the calibration takes the shipped ones.
 /calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/encoder.onnx --episodes 2 --disturbed 2 --runs 2/
 /calibrate\.py/s/--candidates [^ ]+/--candidates models\/weights\/lstm.onnx/

@@ -171,7 +171,7 @@ class MTRNN(RecurrentNetwork):
     # It has a twentieth of the LSTM's weights and spends them on the features unless the posture weighs more.
     # At a rate of 1e-2 it diverges.
     rate: Tensor
-    training_defaults: ClassVar[dict[str, Any]] = {"steps": 16_000, "posture_weight": 150.0, "learning_rate": 4e-3}
+    training_defaults: ClassVar[dict[str, Any]] = {"steps": 32_000, "posture_weight": 150.0, "learning_rate": 4e-3}
 
     def __init__(self, posture_size: int, feature_size: int, sizes=(80, 20), tau=(2.0, 30.0)) -> None:
         """`sizes`: units of the fast and the slow layer; `tau`: their time constants, ticks."""

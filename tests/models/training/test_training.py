@@ -279,7 +279,7 @@ def test_each_network_is_trained_as_it_needs_unless_told(rnn_options: RnnOptions
     lstm = options(rnn="lstm")
     assert (lstm.steps, lstm.posture_weight, lstm.learning_rate) == (6_000, 60.0, 2.5e-3)
     mtrnn = options(rnn="mtrnn", posture_weight=4.0)
-    assert (mtrnn.steps, mtrnn.posture_weight, mtrnn.learning_rate) == (16_000, 4.0, 4e-3)
+    assert (mtrnn.steps, mtrnn.posture_weight, mtrnn.learning_rate) == (32_000, 4.0, 4e-3)
     assert mtrnn.as_metadata()["learning_rate"] == 4e-3
 
 
