@@ -1,4 +1,4 @@
-"""Detection of the unlearned situation: what a detector is, and what all of ours share (Eq. 6).
+"""Detection of the unlearned situation: what a detector is, and what all of ours share (Eqs. 5 and 6).
 
 A detector is any system with these ports, so that another one takes its place without another change:
 
@@ -37,7 +37,7 @@ EXPONENT = 500.0  # exp(500) is finite; 1 / (1 + exp(500)) is 0 to every purpose
 
 
 def alpha_of(errors: np.ndarray, beta, gamma):
-    """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eq. 6, of `errors` (E,), float or AutoDiffXd; no size overflows."""
+    """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eqs. 5 and 6, of `errors` (E,), float or AutoDiffXd; no size overflows."""
     x = (beta * (errors - gamma)).max()  # the sigmoid rises: the largest argument gives the largest value
     limit = type(x)(EXPONENT)
     return 1.0 / (1.0 + np.exp(-min(max(x, -limit), limit)))

@@ -9,7 +9,7 @@ import numpy as np
 from diagrams.world.configuration import World
 from models.errors import InputError
 
-# What a weight file without an entry `world` was trained in: the shipped ones are older than that entry.
+# What is taken for granted of a graph from elsewhere whose header has no entry `world`.
 TRAINED_IN = {"period": 0.1, "camera": [112, 112, 43.0], "closed_opening": 0.03}
 
 

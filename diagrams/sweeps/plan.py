@@ -30,7 +30,7 @@ class SweepArguments:
     detector: list[str] = field(default_factory=lambda: ["recall"])  # as in the registry, or package.module:Class
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B; moved: the can alone
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
-    until: Literal["task", "switching"] = "task"  # switching: ends once that is decided, the task is not judged
+    until: Literal["task", "switching"] = "task"  # switching: ends once that has failed; the task is not judged
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
     scenario: Path | None = None  # YAML whose world is used
     workers: int = os.cpu_count() or 1  # processes of this machine
@@ -76,6 +76,8 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
 
     folder = arguments.weights
     detectors = _by_label(DETECTORS.label, arguments.detector)
+    if arguments.gamma and "never" in detectors:
+        raise InputError("--gamma says nothing to the detector 'never': leave one of the two out")
     names = {ENCODER} | {f"{label}.safetensors" for label in detectors if label not in UNFITTED}
     encoder_hash = Encoder(folder / ENCODER).hash
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]

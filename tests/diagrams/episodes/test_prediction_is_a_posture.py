@@ -1,4 +1,4 @@
-"""With the networks that ship: l_0 of Eq. 6 judges the prediction of a posture, not the distance from home.
+"""With the networks that ship: l_0 of Eq. 4 judges the prediction of a posture, not the distance from home.
 
 Were the LQR's pull left out of what is called m^R, l_0 would be that pull: their correlation was 0.997.
 """
