@@ -37,7 +37,7 @@ EXPONENT = 500.0  # exp(500) is finite; 1 / (1 + exp(500)) is 0 to every purpose
 
 
 def alpha_of(errors: np.ndarray, beta, gamma):
-    """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eqs. 5 and 6, of `errors` (E,), float or AutoDiffXd; no size overflows."""
+    """max_n 1 / (1 + exp(-beta (e_n - gamma))), Eqs. 5 and 6, of `errors` (E,), float or AutoDiffXd; no overflow."""
     x = (beta * (errors - gamma)).max()  # the sigmoid rises: the largest argument gives the largest value
     limit = type(x)(EXPONENT)
     return 1.0 / (1.0 + np.exp(-min(max(x, -limit), limit)))

@@ -10,7 +10,6 @@ import pytest
 from diagrams.analysis import ANALYSES, main, parse
 from diagrams.episodes.rollout import Rollout
 from diagrams.hybrid import return_certificate
-from diagrams.world.names import WEIGHTS
 from models.command_line import ROOT
 from models.errors import InputError
 from tests.diagrams.untrained import save_untrained
@@ -29,11 +28,13 @@ def test_every_analysis_takes_the_common_options(name):
     assert type(arguments) is ANALYSES[name]
 
 
-def test_options_of_the_analyses():
+def test_options_of_the_analyses(tmp_path):
     assert [path.name for path in parse(["modes", "--records", "a.npz", "b"]).records] == ["a.npz", "b"]
     arguments = parse(["linearize", "--policies", "a.onnx", "b.onnx", "--encoder", "c.onnx"])
     assert [path.name for path in arguments.policies] == ["a.onnx", "b.onnx"]
-    assert parse(["return", "--rnn", "gru"]).policy_path == WEIGHTS / "gru.onnx"
+    (tmp_path / "gru.onnx").touch()
+    arguments = parse(["return", "--rnn", "gru", "--weights", str(tmp_path)])
+    assert arguments.policy_path == tmp_path / "gru.onnx"
     assert parse(["guard", "--joints", "2", "3"]).joints == (2, 3)
 
 

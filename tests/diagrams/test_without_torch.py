@@ -56,9 +56,8 @@ def test_the_main_job_runs(tmp_path, surroundings, weights):
 def test_the_shipped_networks_load(tmp_path, surroundings):
     code = (
         "from diagrams.world.names import WEIGHTS; from models.inference import Decoder, Encoder, Policy\n"
-        "from models.files.detectors import load_detector\n"
-        "Encoder(WEIGHTS / 'encoder.onnx'); Decoder(WEIGHTS / 'decoder.onnx'); Policy(WEIGHTS / 'mtrnn-2.onnx')\n"
-        "load_detector(WEIGHTS / 'knn.safetensors', 'knn')"
+        "import models.files.detectors\n"
+        "Encoder(WEIGHTS / 'encoder.onnx'); Decoder(WEIGHTS / 'decoder.onnx'); Policy(WEIGHTS / 'lstm-2.onnx')"
     )
     done = start(tmp_path, surroundings["all"], "-c", code)
     assert done.returncode == 0, done.stderr

@@ -57,17 +57,16 @@ def test_every_network_computes_what_it_did() -> None:
         np.testing.assert_allclose(numbers, golden[name], rtol=0, atol=TOLERANCE.get(name, 1e-5), err_msg=name)
 
 
-@pytest.mark.parametrize("method", ["knn", "subspace"])
-def test_committed_detectors_are_calibrated_for_the_committed_lstms(method: str) -> None:
-    path = WEIGHTS / f"{method}.safetensors"
-    stored = load_detector(path, method)
+@pytest.mark.parametrize("path", sorted(WEIGHTS.glob("*.safetensors")), ids=lambda path: path.stem)
+def test_committed_detectors_are_calibrated_for_the_committed_lstms(path: Path) -> None:
+    stored = load_detector(path, path.stem)
     for name in (name for name in POLICIES if name.startswith("lstm")):
         assert calibration_of(path, stored, Policy(WEIGHTS / f"{name}.onnx").hash)["gamma"] > 1.0
 
 
 def test_weights_stay_within_the_limit() -> None:
     assert sum(path.stat().st_size for path in WEIGHTS.iterdir()) <= 45_000_000
-    assert {path.suffix for path in WEIGHTS.iterdir()} == {".onnx", ".safetensors", ".md"}  # no pickle; the cards
+    assert {path.suffix for path in WEIGHTS.iterdir()} <= {".onnx", ".safetensors", ".md"}  # no pickle; the cards
 
 
 if __name__ == "__main__":
