@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 
 from diagrams.drawing.style import BLUE, GREEN, ORANGE, RED, new_figure, save
+from diagrams.episodes.switching import DEFEATS
 
-MARKS = {None: (".", "0.6"), "not detected": ("o", ORANGE), "not returned": ("s", RED), "not resumed": ("^", BLUE)}
+STYLES = (("o", ORANGE), ("s", RED), ("^", BLUE), ("D", GREEN))
+MARKS = {None: (".", "0.6")} | dict(zip(DEFEATS, STYLES, strict=True))
 
 
 def save_search(trials: dict[str, list[dict[str, Any]]], path: Path) -> None:

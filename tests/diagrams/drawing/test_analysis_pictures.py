@@ -70,7 +70,7 @@ def test_falsification(drawn):
 
     trials = {"tpe": [trial(1.5, None, 4.0), trial(0.4, "not returned", 20.0), trial(1.2, None, 5.0)], "random": []}
     words, (left, right) = drawn(falsification, "save_search", trials)
-    for word in ("withstood (2)", "not returned (1)", "not resumed (0)", "tpe", "random"):
+    for word in ("withstood (2)", "not returned (1)", "not resumed (0)", "switched again (0)", "tpe", "random"):
         assert word in words
     assert left.lines[0].get_ydata().tolist() == [1.5, 0.4, 0.4]
     assert right.lines[0].get_xydata().tolist() == [[4.0, 9.0], [5.0, 9.0]]
