@@ -12,7 +12,7 @@ from systems.detector import CalibratedDetector
 
 
 def recall_errors(difference: np.ndarray, joints: int, mean_errors: np.ndarray) -> np.ndarray:
-    """l_n / mean_l_n, (N + 1,), l_n of Eq. 4: l_n is the mean of the squared errors over the joints.
+    """l_n / mean_l_n, (N + 1,): l_n, Eq. 4, is the mean of the squared errors over the joints.
 
     Under alpha = 1 the fingers keep their command whatever the network goes through: their recall is not judged.
 

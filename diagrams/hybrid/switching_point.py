@@ -72,8 +72,7 @@ class Linearize(Arguments):
         jobs = [(path, stored, image) for path, stored in policies for image in images]
         for path, stored, image in tqdm(jobs, desc="linearize", unit="case", disable=None):
             found, norms = analyse(world, stored, image, samples=self.samples, seed=self.seed)
-            state_weight = stored.metadata.get("training", {}).get("state_weight")
-            name = {"policy": path.name, "hash": file_hash(path), "rnn": stored.rnn.name, "state_weight": state_weight}
+            name = {"policy": path.name, "hash": file_hash(path), "rnn": stored.rnn.name}
             cases.append(name | found | {"eigenvalues": found["eigenvalues"][:WRITTEN_EIGENVALUES]})
             pictures.append((f"{path.stem}, subtask {image.subtask}", found["eigenvalues"], norms))
             print(
