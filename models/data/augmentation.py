@@ -16,6 +16,9 @@ class Augmentation:
         feature_noise: std of white noise on the features.
         feature_slow_noise: std of slow noise on the features.
         quiet_probability: share of sequences without noise on the joints, and of those without on the features.
+        closed_finger_probability: share of the sequences that start with open fingers (the first subtask's) that see them
+            closed for up to closed_finger_ticks: after a recovery they may be closed on nothing, and have to open again.
+        closed_finger_ticks: see there.
         loop_probability: share of sequences with one stretch on the network's own predictions (Eqs. 7, 8, alpha = 1).
         loop_to_end_probability: share of those stretches that go on to the end of the sequence.
         rest_ticks: longest rest, still on own predictions, after a stretch that goes to the end.
@@ -29,6 +32,8 @@ class Augmentation:
     feature_noise: float = 0.12
     feature_slow_noise: float = 0.3
     quiet_probability: float = 0.2
+    closed_finger_probability: float = 0.2
+    closed_finger_ticks: int = 10
     loop_probability: float = 0.4
     loop_to_end_probability: float = 0.6
     rest_ticks: int = 30
@@ -71,6 +76,9 @@ def augment(
     loud = (~chance(options.quiet_probability)).float()[:, None]
     noise = slow_noise(ticks, batch, joints, options.knot_ticks, generator)
     posture[..., :joints] += options.joint_noise * loud * noise
+    shut = chance(options.closed_finger_probability) & (clean[0, :, joints] > 0.0)
+    until = 1 + torch.randint(0, options.closed_finger_ticks, (batch,), generator=generator)
+    posture[..., joints] = torch.where(shut & (k < until), clean[..., joints].min(), posture[..., joints])
     loud = (~chance(options.quiet_probability)).float()[:, None]
     feature = feature + loud * (
         options.feature_noise * torch.randn(feature.shape, generator=generator)
