@@ -137,7 +137,7 @@ def _calibrate(arguments: BaselinesArguments, validation: Validation, path: Path
     def switched_right(beta: float, gamma: float) -> list[bool]:
         controller = Controller(path, spec, Calibration(tuple(mean), beta, gamma))
         trials = validation.run(controller, dict.fromkeys(DISTURBANCES, arguments.trials), "as_paper")
-        return [bool(run.outcome.paper_switch_success) for kind in DISTURBANCES for run in trials[kind]]
+        return [run.outcome.paper_switch_success for kind in DISTURBANCES for run in trials[kind]]
 
     beta, gamma, trials = best_in_loop(found.gamma, arguments.factors, arguments.betas, switched_right)
     print(f"{path.name}, {spec}: beta {beta:g}, gamma {gamma:.1f}", flush=True)

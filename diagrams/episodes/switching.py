@@ -152,7 +152,7 @@ class Switching:
 
     @property
     def ticks_disturbed(self) -> int:
-        """From the onset until the network has the arm again; else the disturbance alone."""
-        if self.onset is None or self.end is None:
+        """From the onset until the network has the arm again; else the disturbance alone, as far as it has come."""
+        if self.onset is None:
             return 0
-        return (self.resumed if self.resumed is not None else self.end) - self.onset
+        return next(k for k in (self.resumed, self.end, self.ticks) if k is not None) - self.onset

@@ -6,7 +6,6 @@ stretch of ticks is the largest ratio of an error to its mean on normal runs, ov
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Any, Self
 
 import numpy as np
@@ -203,21 +202,24 @@ def best_in_loop(
     gamma: float,
     factors: Sequence[float],
     betas: Sequence[float],
-    switched_right: Callable[[float, float], Sequence[bool]],
+    switched_right: Callable[[float, float], Sequence[bool | None]],
 ) -> tuple[float, float, list[dict[str, float]]]:
-    """The beta and gamma with most switching successes in closed loop, the first of the best; and how each did.
+    """The beta and gamma with the largest share of switching successes in closed loop, the first of the best; all.
 
     First `gamma` times each of `factors` with the first of `betas`, then the best gamma with the other betas.
-    `switched_right`: of each episode with a beta and a gamma.
+    `switched_right`: of each episode with a beta and a gamma; None: void, neither a success nor a failure.
     """
 
     def trial(beta: float, gamma: float) -> dict[str, float]:
-        right = switched_right(beta, gamma)
+        right = [found for found in switched_right(beta, gamma) if found is not None]
         print(f"  beta {beta:g}, gamma {gamma:.1f}: {sum(right)} of {len(right)} switched right", flush=True)
         return {"beta": beta, "gamma": gamma, "successes": sum(right), "episodes": len(right)}
 
+    def share(trial: dict[str, float]) -> float:
+        return trial["successes"] / max(trial["episodes"], 1)
+
     trials = [trial(betas[0], factor * gamma) for factor in factors]
-    found = max(trials, key=itemgetter("successes"))
+    found = max(trials, key=share)
     trials += [trial(beta, found["gamma"]) for beta in betas[1:]]
-    found = max(trials, key=itemgetter("successes"))
+    found = max(trials, key=share)
     return found["beta"], found["gamma"], trials

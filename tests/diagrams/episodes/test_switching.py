@@ -64,7 +64,7 @@ def of_arrays(alpha, active, at_home, disturbed):
     failure = next((kind for kind, true in missing if true), None)
     return found | dict(
         failure=failure, success=failure is None, as_paper=as_paper, void=False, end=end, detected=detected, home=home,
-        resumed=resumed, ticks_disturbed=0 if end is None else (end if resumed is None else resumed) - onset,
+        resumed=resumed, ticks_disturbed=next(k for k in (resumed, end, n) if k is not None) - onset,
     )  # fmt: skip
 
 
@@ -261,3 +261,11 @@ def test_alpha_before_the_onset_is_reported():
 def test_time_disturbed_without_recovery_is_the_disturbance():
     assert run(home=None).ticks_disturbed == 18
     assert run(onset=None, high=None).ticks_disturbed == 0
+
+
+def test_the_time_of_a_disturbance_under_way_counts_too():
+    """It would end the run at the limit otherwise: its whole length comes on top of it."""
+    switching = Switching(disturbed=True, period=PERIOD)
+    for k in range(30):
+        switching.see(0.0, active=k >= 10, at_home=False)
+    assert switching.ticks_disturbed == 20
