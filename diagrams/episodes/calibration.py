@@ -108,10 +108,14 @@ def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
 def make_detector(detector: str, policy, folder: Path) -> System:
     """The detector of that name for `policy`, not calibrated yet, from its file in `folder`.
 
-    Raises InputError for an unknown name, WeightsError for a file that is missing or damaged.
+    Raises InputError for an unknown name, or a policy that the detector is not for (such as one that recalls fewer
+    ticks than its windows have), WeightsError for a file that is missing or damaged.
     """
     from models.files.detectors import load_detector
 
     label = DETECTORS.label(detector)
     arrays = {} if label in UNFITTED else load_detector(detector_file(folder, detector), label).arrays
-    return DETECTORS[detector].build(policy, ARM_JOINTS, arrays)
+    try:
+        return DETECTORS[detector].build(policy, ARM_JOINTS, arrays)
+    except ValueError as error:
+        raise InputError(f"the detector '{label}' cannot be built for this policy: {error}") from error

@@ -52,4 +52,12 @@ def calibration_of(path: str | Path, stored: StoredDetector, policy_hash: str) -
         raise WeightsError(path, f"has no calibration for the policy whose file has the hash {short}", _REMEDY)
     if absent := {"mean_errors", "beta", "gamma"} - set(found):
         raise WeightsError(path, f"has a calibration without {' and '.join(sorted(absent))} for {short}", _REMEDY)
+    for name, axes, lowest in (("mean_errors", 1, 0.0), ("beta", 0, 0.0), ("gamma", 0, -np.inf)):
+        try:
+            value = np.asarray(found[name], float)
+        except (TypeError, ValueError):
+            value = np.array([np.nan])
+        if value.ndim != axes or not value.size or not np.all((value > lowest) & (value < np.inf)):
+            wanted = f"{'finite numbers' if axes else 'a finite number'}{'' if lowest else ' above 0'}"
+            raise WeightsError(path, f"has the {name} {found[name]!s:.60} for {short}, not {wanted}", _REMEDY)
     return found

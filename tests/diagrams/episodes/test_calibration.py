@@ -1,6 +1,7 @@
 """Which controller: detectors by their names, their files, and what is said where something is missing."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,6 +93,16 @@ def test_what_is_missing_is_said(folder, tmp_path):
     policy.gamma = None
     with pytest.raises(InputError, match=r"the policy has no calibration: run diagrams/calibrate\.py"):
         stored_calibration("recall", policy, folder)
+
+
+@pytest.mark.parametrize("spec", ["knn", "subspace"])
+def test_a_policy_that_recalls_less_than_a_window_is_refused(folder, spec):
+    policy = Policy(folder / "lstm.onnx")
+    short = SimpleNamespace(
+        posture_size=policy.posture_size, state_size=policy.state_size, scaling=policy.scaling, horizon=4
+    )
+    with pytest.raises(InputError, match=rf"'{spec}' cannot be built for this policy: window is 10.* at most 6"):
+        make_detector(spec, short, folder)
 
 
 def test_names_of_policies():

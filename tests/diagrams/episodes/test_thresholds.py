@@ -11,6 +11,7 @@ from scipy.stats import binom
 
 from diagrams.episodes.thresholds import (
     ValidationRun,
+    best_in_loop,
     by_count,
     conformal,
     mean_errors,
@@ -170,3 +171,14 @@ def test_by_count_by_hand():
     assert "disturbance B" not in found.words()
     with pytest.raises(InputError, match="no disturbance came"):
         by_count(undisturbed, {"A": [run("A", None, [(1, 1)])], "B": []})
+
+
+def test_the_best_in_loop_is_of_the_episodes_that_are_not_void(capsys):
+    """Void trials are neither successes nor failures: 2 of 2 is better than 3 of 4."""
+    right = {
+        (30.0, 5.0): [True, True, True, False], (30.0, 10.0): [True, None, True, None], (10.0, 10.0): [None] * 4
+    }  # fmt: skip
+    beta, gamma, trials = best_in_loop(5.0, [1.0, 2.0], [30.0, 10.0], lambda beta, gamma: right[beta, gamma])
+    assert (beta, gamma) == (30.0, 10.0)
+    assert [(trial["successes"], trial["episodes"]) for trial in trials] == [(3, 4), (2, 2), (0, 0)]
+    assert "2 of 2 switched right" in capsys.readouterr().out

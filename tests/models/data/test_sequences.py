@@ -11,7 +11,9 @@ from models.errors import InputError
 from tests.models.conftest import make_policy
 from tests.models.data.test_demonstrations import demo, ramp
 
-QUIET = Augmentation(joint_noise=0, feature_noise=0, feature_slow_noise=0, loop_probability=0)
+QUIET = Augmentation(
+    joint_noise=0, feature_noise=0, feature_slow_noise=0, closed_finger_probability=0, loop_probability=0
+)
 
 
 def random_pack(count: int = 6, length: int = 60, padding: int = 30) -> SequencePack:
@@ -52,6 +54,28 @@ def test_noise_has_the_asked_size_and_never_touches_targets() -> None:
     assert not noise[..., 7].any()  # the fingers have two openings, which they take at once
     assert noise[..., :7].std().item() == pytest.approx(0.08 * (2 / 3) ** 0.5, rel=0.1)  # of knots joined by lines
     assert noise[..., 8:].std().item() == pytest.approx(0.05, rel=0.05)
+    torch.testing.assert_close(batch.target, pack.target.transpose(0, 1))
+
+
+def test_some_first_subtasks_start_with_the_fingers_seen_closed() -> None:
+    """Those alone that start with open ones, for a share of the sequences and of a few ticks; nothing else changes."""
+    pack = random_pack(400)
+    fingers = pack.x[:, :, 7]
+    fingers[:] = -0.8
+    fingers[::2, :30] = 0.8  # a first subtask: open until the grasp
+    options = replace(QUIET, closed_finger_probability=0.5, closed_finger_ticks=10)
+    batch = make_batch(pack, 7, options, torch.Generator().manual_seed(1))
+    changed = batch.x != pack.x.transpose(0, 1)
+    assert not changed[..., :7].any()
+    assert not changed[..., 8:].any()
+    assert not changed[:, 1::2, 7].any()
+    ticks = changed[:, ::2, 7].sum(0)
+    assert 0.4 < (ticks > 0).float().mean() < 0.6
+    assert set(ticks.tolist()) == set(range(11))
+    for sequence, count in zip(range(0, 400, 2), ticks.tolist(), strict=True):  # from the first tick on
+        assert batch.x[:count, sequence, 7].tolist() == pytest.approx([-0.8] * count)
+        assert batch.x[count:30, sequence, 7].tolist() == pytest.approx([0.8] * (30 - count))
+    torch.testing.assert_close(batch.clean, pack.x.transpose(0, 1)[..., :8])
     torch.testing.assert_close(batch.target, pack.target.transpose(0, 1))
 
 

@@ -37,6 +37,20 @@ def test_what_does_not_fit_is_refused(tmp_path):
         load_detector(tmp_path / "nowhere", "knn")
 
 
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"mean_errors": [0.1, 0.0]}, {"mean_errors": []}, {"mean_errors": 0.1}, {"mean_errors": ["a"]},
+        {"mean_errors": [0.1, float("nan")]}, {"beta": 0.0}, {"beta": "thirty"}, {"beta": [30.0]},
+        {"gamma": float("inf")}, {"gamma": None},
+    ],
+)  # fmt: skip
+def test_a_calibration_of_no_use_is_named(tmp_path, changed):
+    stored = StoredDetector("knn", calibrations={"aa": CALIBRATION | changed})
+    with pytest.raises(WeightsError, match=rf"has the {next(iter(changed))} .* for aa, not .*baselines\.py"):
+        calibration_of(tmp_path, stored, "aa")
+
+
 def test_a_header_without_calibrations_is_named(tmp_path):
     path = tmp_path / "subspace.safetensors"
     write_tensors(path, {"axes": np.zeros((2, 10, 2))}, {"kind": "detector", "method": "subspace", "metadata": {}})
