@@ -89,7 +89,8 @@ def main(arguments: CalibrateArguments) -> int:
     off = {path: Controller(path, calibration=never_fires(Policy(path).horizon + 1)) for path in arguments.candidates}
     rooms = [f"diagrams/episodes/{name}.py" for name in ("thresholds", "validation")]
     made_with = fingerprint(world, *rooms, encoder=file_hash(arguments.encoder))
-    with Pool(arguments.workers) as pool, RowStore(arguments.kept / f"{arguments.out.stem}.jsonl", made_with) as store:
+    kept = arguments.kept / f"{arguments.out.stem}.jsonl"
+    with Pool(arguments.workers) as pool, RowStore(kept, made_with, "--kept") as store:
         selecting, calibrating = (
             Validation(pool, world, arguments.encoder, seed, store)
             for seed in (arguments.seed, arguments.calibration_seed)

@@ -30,7 +30,7 @@ class Outcome:
     rnn: str
     detector: str
     disturbance: str
-    can_xy: tuple[float, float]
+    can_xy: tuple[float, float]  # m, world
     vacant: str
     picked: bool
     placed: bool
@@ -39,7 +39,7 @@ class Outcome:
     way_home_clear: bool | None  # see Episode
     success: bool | None  # None: void, or not asked for, see Until in switching.py
     switched: bool
-    detection_delay_s: float | None
+    detection_delay_s: float | None  # from the onset to alpha >= 0.9
     guard_crossings: int  # of alpha through 1/2, up and down, in the whole run
     false_switches: int  # before the onset
     later_switches: int  # after the network had the arm again
@@ -48,12 +48,12 @@ class Outcome:
     resumed: bool | None
     switch_success: bool | None  # None: void, or not asked for
     paper_switch_success: bool | None  # in the paper's words; None: void, or not asked for
-    alpha_max_before: float
+    alpha_max_before: float  # the onset
     return_s: float | None  # from the end of the disturbance to the initial posture
     resume_s: float | None  # from the initial posture to alpha <= 0.1
     failure: str | None  # what went wrong first, of SWITCHING_FAILURES, TASK_FAILURES, or "simulation diverged"
     switch_failure: str | None  # of SWITCHING_FAILURES, or "simulation diverged"
-    sim_seconds: float
+    sim_seconds: float  # of simulated time
     wall_seconds: float = 0.0
     realtime_factor: float = 0.0
     weights_hash: str = ""

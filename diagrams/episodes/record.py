@@ -22,17 +22,17 @@ class Record:
     """One run, a row a tick (taken in the middle of the tick); angles rad, lengths m."""
 
     time: np.ndarray  # (n,) s, of the tick
-    posture: np.ndarray  # (n, 8) m_k as sampled
-    rnn_step: np.ndarray  # (n, 8) dm^R
-    regulator_step: np.ndarray  # (n, 8) dm^L
-    desired_posture: np.ndarray  # (n, 8) command
-    alpha: np.ndarray  # (n,)
+    posture: np.ndarray  # (n, 8) m_k as sampled: seven joints, rad, and the commanded finger opening, m
+    rnn_step: np.ndarray  # (n, 8) dm^R, rad and m a tick
+    regulator_step: np.ndarray  # (n, 8) dm^L, rad and m a tick
+    desired_posture: np.ndarray  # (n, 8) command, rad and m
+    alpha: np.ndarray  # (n,) in [0, 1]
     errors: np.ndarray  # (n, E) of the detector; of the recall, l_n / mean_l_n
-    hidden_state: np.ndarray  # (n, S)
+    hidden_state: np.ndarray  # (n, S) c_k, no unit
     network_input: np.ndarray  # (n, 38) x_k, scaled: the posture and the features that the network was fed
-    predicted_features: np.ndarray  # (n, 30) f^R_{k+1}
-    active: np.ndarray  # (n,) disturbance under way
-    can_poses: np.ndarray  # (n, 14)
+    predicted_features: np.ndarray  # (n, 30) f^R_{k+1}, in [-1, 1]
+    active: np.ndarray  # (n,) 1 while the disturbance is under way, else 0
+    can_poses: np.ndarray  # (n, 14) of the can to pick, then of the other: quaternion w, x, y, z and position, m, world
     picture_ticks: np.ndarray  # (p,) ticks of the pictures; none where they were not asked for
     pictures: np.ndarray  # (p, 112, 112, 3) uint8, what the camera saw
     events: list[tuple[float, str]]  # (s, what happened)

@@ -8,6 +8,8 @@ from typing import Any, Self
 
 from models.errors import InputError
 
+FIRST = b'{"fingerprint": '  # how such a file begins
+
 
 class RowStore:
     """Rows by key in a file whose first line is the fingerprint of what they were made with; a context manager.
@@ -15,11 +17,11 @@ class RowStore:
     A kill in the middle of a line leaves a last line without its end: it is no row, and is cut off at the next start.
     """
 
-    def __init__(self, path: Path, fingerprint: dict[str, Any]):
-        """Opens or begins the file; `rows` then holds what is there.
+    def __init__(self, path: Path, fingerprint: dict[str, Any], option: str = "--out"):
+        """Opens or begins the file; `rows` then holds what is there. `option`: where the user gave its folder.
 
-        Raises InputError where it cannot be written, belongs to a running program, is damaged, or was made with another
-        `fingerprint` (plain types, see fingerprint.py).
+        Raises InputError where it cannot be written, belongs to a running program, is none of this program's or damaged
+        (neither is changed), or was made with another `fingerprint` (plain types, see fingerprint.py).
         """
         self.path, self.rows = path, dict[str, Any]()
         fingerprint = json.loads(json.dumps(fingerprint))
@@ -27,26 +29,30 @@ class RowStore:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("a+b")
         except OSError as error:
-            raise InputError(f"{path} cannot be written ({error.strerror}): choose another --out") from error
+            raise InputError(f"{path} cannot be written ({error.strerror}): choose another {option}") from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise InputError(f"{path} is in use by another program: wait for it, or choose another --out") from error
+            raise InputError(f"{path} is in use by another program: wait for it, or choose another {option}") from error
         self._file.seek(0)
-        lines = self._file.read().split(b"\n")
+        content = self._file.read()
+        if not content.startswith(FIRST[: len(content)]):
+            raise InputError(f"{path} holds no rows of this program: choose another {option}")
+        lines = content.split(b"\n")
         whole = sum(len(line) + 1 for line in lines[:-1])
         for number, line in enumerate(lines[:-1], start=1):
             try:
-                content = json.loads(line)
+                entry = json.loads(line)
                 if number == 1:
-                    _require_same(path, content["fingerprint"], fingerprint)
+                    _require_same(path, dict(entry["fingerprint"]), fingerprint, option)
                 else:
-                    self.rows[content["key"]] = content["row"]
+                    self.rows[entry["key"]] = entry["row"]
             except InputError:
                 raise
             except (ValueError, KeyError, TypeError) as error:
-                words = f"{path} is damaged in line {number}: delete that line, or choose another --out"
-                raise InputError(words) from error
+                # Without its first line, which says what the rows were made with, none of them is of use.
+                remedy = f"delete that line, or choose another {option}" if number > 1 else f"choose another {option}"
+                raise InputError(f"{path} is damaged in line {number}: {remedy}") from error
         self._file.truncate(whole)
         if len(lines) == 1:
             self._write({"fingerprint": fingerprint})
@@ -69,10 +75,10 @@ class RowStore:
         os.fsync(self._file.fileno())
 
 
-def _require_same(path: Path, have: dict[str, Any], want: dict[str, Any]) -> None:
+def _require_same(path: Path, have: dict[str, Any], want: dict[str, Any], option: str) -> None:
     for name in want.keys() | have.keys():
         if (old := have.get(name)) != (new := want.get(name)):
             raise InputError(
                 f"{path} was made with another {name} ({old!s:.80}, now {new!s:.80}): "
-                "choose another --out, or go on as it was begun"
+                f"choose another {option}, or go on as it was begun"
             )

@@ -37,7 +37,7 @@ def save_detector(path: str | Path, stored: StoredDetector) -> None:
 
 def load_detector(path: str | Path, detector: str) -> StoredDetector:
     """Reads what save_detector wrote; raises WeightsError unless it is a whole file of that detector."""
-    arrays, header = read_tensors(path, "detector")
+    arrays, header = read_tensors(path, "detector", _REMEDY)
     if header.get("method") != detector:
         raise WeightsError(path, f"holds the detector {header.get('method')!r}, not {detector!r}", _REMEDY)
     if absent := {"calibrations", "metadata"} - set(header):
@@ -47,15 +47,17 @@ def load_detector(path: str | Path, detector: str) -> StoredDetector:
 
 def calibration_of(path: str | Path, stored: StoredDetector, policy_hash: str) -> dict[str, Any]:
     """The calibration for the policy with that file hash; raises WeightsError if there is none, or not a whole one."""
-    found, short = stored.calibrations.get(policy_hash), policy_hash[:12]
-    if found is None:
+    calibrations, short = stored.calibrations, policy_hash[:12]
+    found = calibrations.get(policy_hash) if isinstance(calibrations, dict) else None
+    if not isinstance(found, dict):
         raise WeightsError(path, f"has no calibration for the policy whose file has the hash {short}", _REMEDY)
     if absent := {"mean_errors", "beta", "gamma"} - set(found):
         raise WeightsError(path, f"has a calibration without {' and '.join(sorted(absent))} for {short}", _REMEDY)
     for name, axes, lowest in (("mean_errors", 1, 0.0), ("beta", 0, 0.0), ("gamma", 0, -np.inf)):
         try:
-            value = np.asarray(found[name], float)
-        except (TypeError, ValueError):
+            value = np.asarray(found[name])
+            value = value.astype(float) if value.dtype.kind in "iuf" else np.array([np.nan])
+        except ValueError:  # a list of lists of several lengths
             value = np.array([np.nan])
         if value.ndim != axes or not value.size or not np.all((value > lowest) & (value < np.inf)):
             wanted = f"{'finite numbers' if axes else 'a finite number'}{'' if lowest else ' above 0'}"

@@ -8,7 +8,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from models.files.container import FORMAT, RETRAIN, WeightsError, require_kind, write_bytes
+from models.files.container import FORMAT, WeightsError, require_kind, write_bytes
 
 
 def write_tensors(path: str | Path, tensors: dict[str, np.ndarray], header: dict[str, Any]) -> None:
@@ -19,17 +19,20 @@ def write_tensors(path: str | Path, tensors: dict[str, np.ndarray], header: dict
     write_bytes(path, save(whole, {"header": text}))
 
 
-def read_tensors(path: str | Path, kind: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """What write_tensors wrote; raises WeightsError unless the file is there, whole, finite and of that kind."""
+def read_tensors(path: str | Path, kind: str, remedy: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """What write_tensors wrote; raises WeightsError unless the file is there, whole, finite and of that kind.
+
+    `remedy`: where to get a good one.
+    """
     if not Path(path).is_file():
-        raise WeightsError(path, "the weight file does not exist", RETRAIN)
+        raise WeightsError(path, "the weight file does not exist", remedy)
     try:
         with safe_open(path, "np") as file:
             header = dict(json.loads((file.metadata() or {}).get("header", "{}")))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, TypeError, ValueError) as error:
-        raise WeightsError(path, f"the weight file is damaged ({error})", RETRAIN) from error
+        raise WeightsError(path, f"the weight file is damaged ({error})", remedy) from error
     require_kind(path, header, kind)
     if not all(np.isfinite(value).all() for value in tensors.values() if value.dtype.kind == "f"):
-        raise WeightsError(path, "holds weights that are not finite", RETRAIN)
+        raise WeightsError(path, "holds weights that are not finite", remedy)
     return tensors, header

@@ -43,7 +43,7 @@ def save_autoencoder(path: str | Path, model: ConvolutionalAutoencoder, metadata
 
 def load_autoencoder(path: str | Path) -> tuple[ConvolutionalAutoencoder, dict[str, Any]]:
     """The autoencoder on its stored weights, in eval mode, and its metadata."""
-    arrays, header = read_tensors(path, "autoencoder")
+    arrays, header = read_tensors(path, "autoencoder", RETRAIN)
     try:
         model, metadata = ConvolutionalAutoencoder(header["feature_activation"]), header["metadata"]
     except (KeyError, TypeError, ValueError) as error:

@@ -70,6 +70,24 @@ def test_another_fingerprint_is_refused_with_both_values(tmp_path):
         RowStore(path, IDENTITY | {"more": 2})
 
 
+@pytest.mark.parametrize("content", ["my notes", "my notes\n", '{"key": "a", "row": 1}\n', "\n", "\0"])
+def test_a_file_of_somebody_else_is_left_as_it_is(tmp_path, content):
+    path = tmp_path / "rows.jsonl"
+    path.write_text(content)
+    with pytest.raises(InputError, match=r"rows.jsonl holds no rows of this program: choose another --kept"):
+        RowStore(path, IDENTITY, "--kept")
+    assert path.read_text() == content
+
+
+@pytest.mark.parametrize("first", ['{"fingerprint": [1]}', '{"fingerprint": 5}', '{"fingerprint": {"code"'])
+def test_a_damaged_first_line_is_not_to_be_deleted(tmp_path, first):
+    path = tmp_path / "rows.jsonl"
+    path.write_text(first + '\n{"key": "a", "row": 1}\n')
+    with pytest.raises(InputError, match=r"damaged in line 1: choose another --out$"):
+        RowStore(path, IDENTITY)
+    assert path.read_text().endswith('"row": 1}\n')
+
+
 def test_damage_is_named_by_its_line(tmp_path):
     path = tmp_path / "rows.jsonl"
     with RowStore(path, IDENTITY) as store:

@@ -33,7 +33,7 @@ def test_what_does_not_fit_is_refused(tmp_path):
         calibration_of(path, stored, "bb")
     with pytest.raises(WeightsError, match=r"without gamma and mean_errors for aa.*baselines\.py"):
         calibration_of(path, stored, "aa")
-    with pytest.raises(WeightsError, match="does not exist"):
+    with pytest.raises(WeightsError, match=r"does not exist.*baselines\.py"):
         load_detector(tmp_path / "nowhere", "knn")
 
 
@@ -42,13 +42,19 @@ def test_what_does_not_fit_is_refused(tmp_path):
     [
         {"mean_errors": [0.1, 0.0]}, {"mean_errors": []}, {"mean_errors": 0.1}, {"mean_errors": ["a"]},
         {"mean_errors": [0.1, float("nan")]}, {"beta": 0.0}, {"beta": "thirty"}, {"beta": [30.0]},
-        {"gamma": float("inf")}, {"gamma": None},
+        {"gamma": float("inf")}, {"gamma": None}, {"gamma": "1"}, {"beta": True}, {"mean_errors": [[0.1], [0.1, 0.2]]},
     ],
 )  # fmt: skip
 def test_a_calibration_of_no_use_is_named(tmp_path, changed):
     stored = StoredDetector("knn", calibrations={"aa": CALIBRATION | changed})
     with pytest.raises(WeightsError, match=rf"has the {next(iter(changed))} .* for aa, not .*baselines\.py"):
         calibration_of(tmp_path, stored, "aa")
+
+
+@pytest.mark.parametrize("calibrations", [[CALIBRATION], "aa", None, {"aa": 5}, {"aa": None}])
+def test_what_is_no_calibration_is_none(tmp_path, calibrations):
+    with pytest.raises(WeightsError, match="no calibration for the policy whose file has the hash aa"):
+        calibration_of(tmp_path, StoredDetector("knn", calibrations=calibrations), "aa")
 
 
 def test_a_header_without_calibrations_is_named(tmp_path):
