@@ -6,7 +6,7 @@
 2. Mean errors and gamma come from validation episodes with the detector off: see by_count in
    diagrams/episodes/thresholds.py.
 3. Trials in closed loop on validation episodes: that gamma times each factor with the first beta, then the best with
-   the other betas; what switches right most often is taken, in the paper's words (see diagrams/episodes/switching.py),
+   the other betas; the largest share switched right is taken, in the paper's words (diagrams/episodes/switching.py),
    since these detectors let go of the arm on its way home.
 
 Writes a file a detector (knn.safetensors, ...) beside the networks, after each network; the same command goes on after
@@ -134,10 +134,12 @@ def _calibrate(arguments: BaselinesArguments, validation: Validation, path: Path
     print(f"{path.name}, {spec}, {found.words()}", flush=True)
     mean = found.mean_errors.tolist()
 
-    def switched_right(beta: float, gamma: float) -> list[bool]:
+    def switched_right(beta: float, gamma: float) -> list[bool | None]:
         controller = Controller(path, spec, Calibration(tuple(mean), beta, gamma))
         trials = validation.run(controller, dict.fromkeys(DISTURBANCES, arguments.trials), "as_paper")
-        return [run.outcome.paper_switch_success for kind in DISTURBANCES for run in trials[kind]]
+        outcomes = [run.outcome for kind in DISTURBANCES for run in trials[kind]]
+        # By a false alarm the disturbance may have been kept away: such a void trial is a failure.
+        return [False if found.void and found.false_switches else found.paper_switch_success for found in outcomes]
 
     beta, gamma, trials = best_in_loop(found.gamma, arguments.factors, arguments.betas, switched_right)
     print(f"{path.name}, {spec}: beta {beta:g}, gamma {gamma:.1f}", flush=True)

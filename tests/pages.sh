@@ -35,7 +35,7 @@ s/ --measure//
 /sweep\.py/s/--episodes [0-9]+/--episodes 1/
 /sweep\.py/s/--training-seeds 0 1 2/--training-seeds 0/
 s/--gamma 3 10 20 40 80 200/--gamma 3 20/
-/sweep\.py.*--detector/s/$/ --disturbance none/
+/sweep\.py.*--detector/{/--disturbance/!s/$/ --disturbance none/}
 # Training: eight demonstrations (two trained positions), a few updates.
 /teach\.py/s/$/ --limit 8/
 /training cae/s/$/ --max-images 128/

@@ -117,5 +117,7 @@ def make_detector(detector: str, policy, folder: Path) -> System:
     arrays = {} if label in UNFITTED else load_detector(detector_file(folder, detector), label).arrays
     try:
         return DETECTORS[detector].build(policy, ARM_JOINTS, arrays)
+    except InputError:  # which says what is wrong with the file
+        raise
     except ValueError as error:
         raise InputError(f"the detector '{label}' cannot be built for this policy: {error}") from error

@@ -34,6 +34,15 @@ class RowStore:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise InputError(f"{path} is in use by another program: wait for it, or choose another {option}") from error
+        try:
+            self._read(fingerprint, option)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _read(self, fingerprint: dict[str, Any], option: str) -> None:
+        """The rows that are there; a fingerprint where there is none yet."""
+        path = self.path
         self._file.seek(0)
         content = self._file.read()
         if not content.startswith(FIRST[: len(content)]):

@@ -204,10 +204,10 @@ def best_in_loop(
     betas: Sequence[float],
     switched_right: Callable[[float, float], Sequence[bool | None]],
 ) -> tuple[float, float, list[dict[str, float]]]:
-    """The beta and gamma with the largest share of switching successes in closed loop, the first of the best; all.
+    """The beta and gamma with the largest share of switching successes in closed loop, and all trials.
 
-    First `gamma` times each of `factors` with the first of `betas`, then the best gamma with the other betas.
-    `switched_right`: of each episode with a beta and a gamma; None: void, neither a success nor a failure.
+    First `gamma` times each of `factors` with the first of `betas`, then the best gamma with the other betas; the first
+    of several best ones is taken. `switched_right`: of each episode with a beta and a gamma; None: void, not counted.
     """
 
     def trial(beta: float, gamma: float) -> dict[str, float]:

@@ -25,7 +25,7 @@ from models.training.checkpoint import Checkpoint
 _LOCAL = {"data", "out", "device", "encoder", "features", "policy", "start_from"}
 # Numbers that must be above 0; every other one may be 0.
 _POSITIVE = {"steps", "batch_size", "max_images", "horizon", "checkpoint_every", "validate_every", "knot_ticks"}
-_POSITIVE |= {"scaling_margin", "least_half_range"}
+_POSITIVE |= {"scaling_margin", "least_half_range", "closed_finger_ticks"}
 
 LARGEST_SEED = 10**9  # with the number of the update, a generator's seed
 

@@ -97,6 +97,24 @@ def test_files_hold_what_was_learned_and_chosen(folder, data, asked, spec, capsy
     assert "beta 30, gamma 24.5" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("false_switches", "episodes", "successes"), [(0, 4, 4), (1, 6, 4)])
+def test_void_trials_do_not_count_unless_a_false_alarm_made_them_void(
+    folder, data, monkeypatch, false_switches, episodes, successes
+):
+    """Of two trials each of none, A and B, one each of A and B is void."""
+
+    def run(job):
+        found, made_up = run_episode(job)
+        if job.controller.calibration.gamma != NEVER and job.kind != "none" and job.seed % 2:
+            found = replace(found, void=True, paper_switch_success=None, false_switches=false_switches)
+        return found, made_up
+
+    monkeypatch.setattr(validation, "run_episode", run)
+    baselines.main(arguments(folder, data, detector=["knn"], factors=[1.0], betas=[30.0]))
+    (trial,) = load_detector(folder / "knn.safetensors", "knn").metadata[Policy(folder / "lstm.onnx").hash]["trials"]
+    assert (trial["episodes"], trial["successes"]) == (episodes, successes)
+
+
 def test_what_is_learned_comes_from_the_training_demonstrations(folder, data, asked):
     baselines.main(arguments(folder, data, detector=["knn", OUTSIDE]))
     arrays = load_detector(folder / "knn.safetensors", "knn").arrays

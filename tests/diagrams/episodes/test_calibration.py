@@ -105,5 +105,13 @@ def test_a_policy_that_recalls_less_than_a_window_is_refused(folder, spec):
         make_detector(spec, short, folder)
 
 
+def test_a_file_without_what_was_learned_is_named_as_such(folder, tmp_path):
+    policy = Policy(folder / "lstm.onnx")
+    save_detector(detector_file(tmp_path, "knn"), StoredDetector("knn"))
+    with pytest.raises(InputError, match="angles") as error:
+        make_detector("knn", policy, tmp_path)
+    assert "cannot be built for this policy" not in str(error.value)
+
+
 def test_names_of_policies():
     assert [policy_name("gru", seed) for seed in (0, 1)] == ["gru.onnx", "gru-1.onnx"]
