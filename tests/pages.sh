@@ -31,10 +31,9 @@ smaller() {
 # The suite has its own check, .ci/run; ratios of benchmarks need a machine on which nothing else runs.
 s/pytest -n 2 --dist loadfile/pytest tests\/test_pages.py/
 s/ --measure//
-# Sweeps: one episode of each combination, one training seed, two gammas, one disturbance for the other detectors.
+# Sweeps: one episode of each combination, one training seed, one disturbance for the other detectors.
 /sweep\.py/s/--episodes [0-9]+/--episodes 1/
 /sweep\.py/s/--training-seeds 0 1 2/--training-seeds 0/
-s/--gamma 3 10 20 40 80 200/--gamma 3 20/
 /sweep\.py.*--detector/{/--disturbance/!s/$/ --disturbance none/}
 # Training: eight demonstrations (two trained positions), a few updates.
 /teach\.py/s/$/ --limit 8/

@@ -146,7 +146,8 @@ def test_every_weight_file_has_its_card():
 
     card = (ROOT / "models" / "weights" / "README.md").read_text()
     files = [path for path in (ROOT / "models" / "weights").iterdir() if path.suffix != ".md"]
-    assert {"encoder.onnx", "decoder.onnx", "lstm.onnx", "lstm-1.onnx", "lstm-2.onnx"} <= {file.name for file in files}
+    networks = {f"{name}{seed}" for name in ("lstm", "gru", "mtrnn") for seed in ("", "-1", "-2")}
+    assert {file.stem for file in files if file.suffix == ".onnx"} == {"encoder", "decoder", *networks}
     for file in files:
         row = next(line for line in card.splitlines() if line.startswith(f"| `{file.name}`"))
         assert f"| {file_hash(file)[:12]} |" in row

@@ -57,7 +57,7 @@ def test_the_shipped_networks_load(tmp_path, surroundings):
     code = (
         "from diagrams.world.names import WEIGHTS; from models.inference import Decoder, Encoder, Policy\n"
         "import models.files.detectors\n"
-        "Encoder(WEIGHTS / 'encoder.onnx'); Decoder(WEIGHTS / 'decoder.onnx'); Policy(WEIGHTS / 'lstm-2.onnx')"
+        "Encoder(WEIGHTS / 'encoder.onnx'); Decoder(WEIGHTS / 'decoder.onnx'); Policy(WEIGHTS / 'mtrnn-2.onnx')"
     )
     done = start(tmp_path, surroundings["all"], "-c", code)
     assert done.returncode == 0, done.stderr
