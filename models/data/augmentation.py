@@ -17,8 +17,8 @@ class Augmentation:
         feature_slow_noise: std of slow noise on the features.
         quiet_probability: share of sequences without noise on the joints, and of those without on the features.
         closed_finger_probability: share of the sequences that start with open fingers (the first subtask's) that see
-            them closed for up to closed_finger_ticks: the can may be taken from the hand, and a hand that comes home
-            closed has to open.
+            them closed, in the posture alone, for up to closed_finger_ticks: the can may be taken from the hand, and a
+            hand that comes home closed has to open.
         closed_finger_ticks: see there.
         loop_probability: share of sequences with one stretch on the network's own predictions (Eqs. 7, 8, alpha = 1).
         loop_to_end_probability: share of those stretches that go on to the end of the sequence.
