@@ -16,11 +16,13 @@ from diagrams.episodes.narrator import Narrator
 from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.world.can_mover import CanMover
+from diagrams.world.clearance_map import ClearanceMap
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import TIME_LIMIT, TaskMonitor, lifted
 from models.errors import InputError
+from systems.clearance_filter import ClearanceFilter
 from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
 from systems.switched_controller import SwitchedController
@@ -92,7 +94,15 @@ class Rollout:
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
         builder.Connect(station.GetOutputPort("rgb_image"), controller.GetInputPort("rgb_image"))
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
-        builder.Connect(controller.GetOutputPort("desired_posture"), disturbance.GetInputPort("desired_posture"))
+        self.filter, command = self._way_home(builder, lower, upper, speed), controller.GetOutputPort("desired_posture")
+        if self.filter is not None:
+            for port in ("posture", "alpha", "desired_posture"):
+                source = "measured_posture" if port == "posture" else port
+                builder.Connect(controller.GetOutputPort(source), self.filter.GetInputPort(port))
+            if self.filter.HasInputPort("obstacles"):
+                builder.Connect(station.GetOutputPort("can_poses"), self.filter.GetInputPort("obstacles"))
+            command = self.filter.GetOutputPort("filtered_posture")
+        builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
         builder.Connect(disturbance.GetOutputPort("disturbed_posture"), station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
@@ -128,6 +138,26 @@ class Rollout:
         self.diagram = builder.Build()
         self.diagram.set_name("pick_place")
         self.simulator = Simulator(self.diagram)
+
+    def _way_home(self, builder, lower, upper, speed) -> ClearanceFilter | None:
+        """The filter that `world.clearance` asks for."""
+        given = self.world.clearance
+        if given.cans == "unseen":
+            return None
+        return builder.AddNamedSystem(
+            "clearance_filter",
+            ClearanceFilter(
+                ClearanceMap(self.world, possible=given.cans == "possible"),
+                posture_size=len(lower),
+                joints=ARM_JOINTS,
+                lower=lower,
+                upper=upper,
+                max_step=(speed * self.world.timing.period)[:ARM_JOINTS],
+                gap=given.gap,
+                least=given.least,
+                rate=given.rate,
+            ),
+        )
 
     def create_context(self, episode: Episode, calibration: Calibration | None = None) -> Context:
         """A fresh Context of `diagram` for `episode`, at time 0; `calibration` instead of the constructor's."""

@@ -13,12 +13,14 @@ import numpy as np
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
 from systems.arguments import require_count, require_positive, require_vector
+from systems.clearance_filter import WITHIN
 
 LARGEST_PICTURE = 2048  # pixels a side
+CLEARANCE_CANS = ("possible", "true", "unseen")
 MOST_HALVINGS = 10  # of a period to a time step: a simulation of smaller ones would not end
 POSITIVE = (
     "timing.time_step", "timing.period", "servo.finger_stiffness", "servo.finger_damping", "grid.spacing",
-    "regulator.state_weight", "regulator.input_weight",
+    "regulator.state_weight", "regulator.input_weight", "clearance.gap", "clearance.least", "clearance.rate",
 )  # fmt: skip
 
 
@@ -88,6 +90,16 @@ class Regulator:
 
 
 @dataclass
+class Clearance:
+    """The way home: what the arm keeps away from in mode `return`, see systems/clearance_filter.py."""
+
+    cans: str = "possible"  # one wherever it may stand; true: where they stand; unseen: the way is straight, no filter
+    gap: float = 0.01  # distance kept, m
+    least: float = 0.005  # distance that every step is proven to keep, m
+    rate: float = 0.3  # share of the distance above the gap that a tick may use up
+
+
+@dataclass
 class World:
     """Everything about the robot and its desk that an episode does not sample."""
 
@@ -96,6 +108,7 @@ class World:
     camera: Camera = field(default_factory=Camera)
     grid: Grid = field(default_factory=Grid)
     regulator: Regulator = field(default_factory=Regulator)
+    clearance: Clearance = field(default_factory=Clearance)
     # The initial posture, to which the arm returns after each subtask and under the LQR: seven joint angles (deg).
     initial_joints_deg: list[float] = field(default_factory=lambda: [28.0, 30.0, 0.0, 83.0, 0.0, 62.0, 0.0])
     opening: float = 0.08  # gap of the open fingers, m
@@ -135,6 +148,17 @@ class World:
             raise InputError(
                 f"world.timing.time_step {step} s: some ticks, every {period} s, are no step of the plant to the last "
                 f"bit, and would see the posture a step late: choose {halved!r}, a period / 1, 2, 4, 8 ..."
+            )
+        if self.clearance.cans not in CLEARANCE_CANS:
+            raise InputError(
+                f"there are no cans '{self.clearance.cans}' (world.clearance.cans): choose from "
+                f"{', '.join(CLEARANCE_CANS)}"
+            )
+        gap, least, rate = self.clearance.gap, self.clearance.least, self.clearance.rate
+        if not least < gap < WITHIN or rate > 1.0:
+            raise InputError(
+                f"world.clearance.least {least} m, gap {gap} m and rate {rate} do not fit: choose least < gap < "
+                f"{WITHIN} m, and a rate of at most 1"
             )
         if not 0.0 < angle < 180.0:
             raise InputError(

@@ -56,7 +56,7 @@ def add_models(plant: MultibodyPlant, names: tuple[str, ...] | None = None) -> N
     # 25 ms; for what a string includes, it does so once a process.
     included = "".join(f"<include><uri>{model.file}</uri><name>{model.name}</name></include>" for model in models)
     parser.AddModelsFromString(f'<sdf version="1.9"><world name="models">{included}</world></sdf>', "sdf")
-    others = [d for d in directives if not d.add_model and not d.add_weld and not names]
+    others = [d for d in directives if not d.add_model and not d.add_weld]
     ProcessModelDirectives(ModelDirectives(directives=others), parser)
     for weld in welds:
         parent, child = (GetScopedFrameByName(plant, name) for name in (weld.parent, weld.child))

@@ -1,0 +1,203 @@
+"""What the arm knows of its surroundings on its way home: desk, shelf, and the cans."""
+
+import itertools
+import logging
+
+import numpy as np
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    CollisionFilterDeclaration,
+    Cylinder,
+    GeometryId,
+    GeometrySet,
+    Shape,
+    Sphere,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, Frame, RigidBody, SpatialInertia
+from pydrake.planning import LinearDistanceAndInterpolationProvider, RobotDiagramBuilder, SceneGraphCollisionChecker
+
+from diagrams.world.configuration import World
+from diagrams.world.inverse_kinematics import HandKinematics
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CAN_RADIUS, CANS, SPOTS
+from diagrams.world.station import add_models
+from diagrams.world.trajectory import GRASP_ABOVE_CENTRE
+from systems.clearance_filter import Near
+
+HELD = "held_can"
+IN_HAND = 0.03  # m: a can nearer than that to the grasp frame is in the closed hand
+POSE = 7  # numbers of a can's pose: quaternion (w, x, y, z) and position, m, world
+
+
+class _Scene:
+    """Arm, hand, desk, shelf and cans, for Drake's distances; `held`: with a can in the hand."""
+
+    def __init__(self, world: World, held: bool, possible: bool):
+        """`possible`: a can wherever one may stand; else the cans that are not in the hand, where they are told."""
+        builder = RobotDiagramBuilder(time_step=0.0)
+        plant = builder.plant()
+        add_models(plant, ("desk", "shelf", "arm", "gripper"))
+        can = Cylinder(CAN_RADIUS, 2 * CAN_HALF_HEIGHT)
+        hand = ["arm", "gripper"]
+        if held:
+            hand.append(HELD)
+            _add(plant, HELD, can, plant.GetFrameByName("grasp"), _in_grasp(world))
+        self.cans: dict[str, RigidBody] = {}
+        if possible:
+            lower, upper = world.grid.bounds
+            desk = Box(*(upper - lower + 2 * CAN_RADIUS), 2 * CAN_HALF_HEIGHT)
+            centre = RigidTransform([*(0.5 * (lower + upper)), CAN_HALF_HEIGHT])
+            self.cans["desk_cans"] = _add(plant, "desk_cans", desk, plant.world_frame(), centre)
+            for spot in SPOTS:
+                X_SC = RigidTransform([0, 0, CAN_HALF_HEIGHT])
+                self.cans[spot] = _add(plant, f"{spot}_can", can, plant.GetFrameByName(f"{spot}_spot"), X_SC)
+        else:
+            self.cans = {name: _add(plant, name, can) for name in (CANS[1:] if held else CANS)}
+        plant.Finalize()
+        self.arm = [plant.GetModelInstanceByName(name) for name in hand]
+        self._exclude(builder, plant)
+        model = builder.Build()
+        logging.getLogger("drake").setLevel(logging.WARNING)  # the checker tells how many contexts it allocates
+        self.checker = SceneGraphCollisionChecker(
+            model=model,
+            robot_model_instances=self.arm,
+            edge_step_size=1.0,  # of checks of edges, which nobody asks for
+            env_collision_padding=0.0,
+            self_collision_padding=0.0,
+            distance_and_interpolation_provider=LinearDistanceAndInterpolationProvider(model.plant()),
+        )
+        self.plant = plant
+        self.positions = plant.GetPositions(plant.CreateDefaultContext())
+        self.bodies = {int(body.index()): name for name, body in self.cans.items()}
+
+    def _exclude(self, builder: RobotDiagramBuilder, plant: MultibodyPlant) -> None:
+        """Leaves pairs within the arm and within the rest out: no joint angles let the arm meet itself."""
+        sides: tuple[list[GeometryId], list[GeometryId]] = ([], [])
+        for index in range(plant.num_bodies()):
+            body = plant.get_body(BodyIndex(index))
+            sides[body.model_instance() in self.arm].extend(plant.GetCollisionGeometriesForBody(body))
+        for side in sides:
+            builder.scene_graph().collision_filter_manager().Apply(
+                CollisionFilterDeclaration().ExcludeWithin(GeometrySet(side))
+            )
+
+    def reach(self) -> np.ndarray:
+        """(J,) m/rad: see `systems.clearance_filter.Map`."""
+        plant, context = self.plant, self.plant.CreateDefaultContext()
+        plant.SetPositions(context, plant.GetModelInstanceByName("gripper"), plant.GetPositionUpperLimits()[7:9])
+        inspector = self.checker.model().scene_graph().model_inspector()
+        links = [plant.GetBodyByName(f"link_{j + 1}") for j in range(ARM_JOINTS)]
+        origins = [plant.EvalBodyPoseInWorld(context, link).translation() for link in links]
+        extents = np.zeros(ARM_JOINTS)
+        for index in range(plant.num_bodies()):
+            body = plant.get_body(BodyIndex(index))
+            if body.model_instance() not in self.arm or body.name() == "base":
+                continue
+            j = links.index(body) if body in links else ARM_JOINTS - 1
+            X_WB = plant.EvalBodyPoseInWorld(context, body)
+            for shape in plant.GetCollisionGeometriesForBody(body):
+                centre = X_WB.multiply(inspector.GetPoseInFrame(shape).translation())
+                extents[j] = max(extents[j], np.linalg.norm(centre - origins[j]) + _radius(inspector.GetShape(shape)))
+        spans = [np.linalg.norm(b - a) for a, b in itertools.pairwise(origins)]
+        for j in reversed(range(ARM_JOINTS - 1)):
+            extents[j] = max(extents[j], spans[j] + extents[j + 1])
+        return extents
+
+
+class ClearanceMap:
+    """Distances of the arm and of what it holds to desk, shelf and cans: see `systems.clearance_filter.Map`.
+
+    A can is in the hand where the fingers are commanded closed; it is not known whether they hold one. With `possible`,
+    a can may stand anywhere in the trained area of the desk and on either spot of the shelf; but one that the arm
+    overlaps is not there. Else the cans are where `obstacles` says: (14,) `can_poses` of the station, the truth.
+    """
+
+    def __init__(self, world: World, possible: bool = True):
+        """`possible`: a can wherever one may stand, instead of the truth."""
+        self._world, self._possible = world, possible
+        self.obstacle_size = 0 if possible else POSE * len(CANS)
+        self._scenes = [_Scene(world, held, possible) for held in (False, True)]
+        self.reach = self._scenes[True].reach()
+
+    def view(self, posture: np.ndarray, obstacles: np.ndarray) -> "_View":
+        """What is there with the arm at `posture` (8, rad and m); `obstacles`: (0,) or (14,), see the class."""
+        closed = bool(posture[ARM_JOINTS] < self._world.close_below)
+        if self._possible:
+            return _View(self._scenes[closed], posture, 2 * CAN_RADIUS if closed else posture[ARM_JOINTS])
+        poses = dict(zip(CANS, obstacles.reshape(len(CANS), POSE), strict=True))
+        scene = self._scenes[closed and self._in_hand(posture, poses[CANS[0]])]
+        return _View(scene, posture, 2 * CAN_RADIUS if closed else posture[ARM_JOINTS], poses)
+
+    def _in_hand(self, posture: np.ndarray, pose: np.ndarray) -> bool:
+        plant, context = self._scenes[False].plant, self._scenes[False].plant.CreateDefaultContext()
+        plant.SetPositions(context, plant.GetModelInstanceByName("arm"), posture[:ARM_JOINTS])
+        grasp = plant.GetFrameByName("grasp").CalcPoseInWorld(context).translation()
+        return bool(np.linalg.norm(grasp - pose[4:]) < IN_HAND)
+
+
+class _View:
+    """The scene as it is known at one posture."""
+
+    def __init__(self, scene: _Scene, posture: np.ndarray, gap: float, poses: dict[str, np.ndarray] | None = None):
+        """`gap`: of the fingers, m; `poses`: (7,) each, of the cans that are not in the hand."""
+        self._scene, self._absent = scene, np.empty(0, int)
+        self._positions = scene.positions.copy()
+        self._positions[ARM_JOINTS : ARM_JOINTS + 2] = 0.5 * gap
+        for name, body in scene.cans.items() if poses is not None else ():
+            start = body.floating_positions_start()
+            self._positions[start : start + POSE] = poses[name]
+        if poses is None:
+            near = self._query(posture[:ARM_JOINTS], 0.0)
+            overlapped = near.pairs[near.distances < 0.0] % scene.plant.num_bodies()
+            self._absent = np.intersect1d(overlapped, list(scene.bodies))
+
+    def _query(self, joints: np.ndarray, within: float) -> Near:
+        scene = self._scene
+        self._positions[:ARM_JOINTS] = joints
+        found = scene.checker.CalcRobotClearance(self._positions, within)
+        robot, other = (np.array([int(i) for i in side], int) for side in (found.robot_indices(), found.other_indices()))
+        jacobians = np.reshape(found.jacobians(), (len(robot), len(self._positions)))[:, :ARM_JOINTS]
+        return Near(found.distances(), jacobians, scene.plant.num_bodies() * robot + other)
+
+    def near(self, joints: np.ndarray, within: float) -> Near:
+        """See `systems.clearance_filter.View`."""
+        found = self._query(joints, within)
+        if len(self._absent):
+            there = ~np.isin(found.pairs % self._scene.plant.num_bodies(), self._absent)
+            return Near(found.distances[there], found.jacobians[there], found.pairs[there])
+        return found
+
+
+def _add(
+    plant: MultibodyPlant, name: str, shape: Shape, frame: Frame | None = None, X_FB: RigidTransform | None = None
+) -> RigidBody:
+    """A body of that shape, a model of its own, welded to `frame` at `X_FB`; free without one."""
+    body = plant.AddRigidBody(name, plant.AddModelInstance(name), SpatialInertia.SolidSphereWithMass(1.0, 0.05))
+    plant.RegisterCollisionGeometry(body, RigidTransform(), shape, name, CoulombFriction(1.0, 1.0))
+    if frame is not None:
+        plant.WeldFrames(frame, body.body_frame(), X_FB)
+    return body
+
+
+def _in_grasp(world: World) -> RigidTransform:
+    """Pose of a can in the grasp frame: upright as the hand grasps it, which it does by the same angles everywhere."""
+    hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
+    grasp = np.array([*np.mean(world.grid.bounds, axis=0), CAN_HALF_HEIGHT + GRASP_ABOVE_CENTRE])
+    X_WG = hand.grasp_pose(hand.solve_ik(grasp))
+    return X_WG.inverse().multiply(RigidTransform(grasp - [0, 0, GRASP_ABOVE_CENTRE]))
+
+
+def _radius(shape: Shape) -> float:
+    """Of a ball about the shape's centre that holds it, m."""
+    match shape:
+        case Sphere():
+            return shape.radius()
+        case Capsule():
+            return shape.radius() + 0.5 * shape.length()
+        case Cylinder():
+            return float(np.hypot(shape.radius(), 0.5 * shape.length()))
+        case Box():
+            return 0.5 * float(np.linalg.norm(shape.size()))
+    raise NotImplementedError(f"no ball about a {type(shape).__name__}: add its radius to _radius")

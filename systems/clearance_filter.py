@@ -1,0 +1,169 @@
+"""The way home that looks: the smallest change of a step that keeps the arm at a distance from what it knows."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from pydrake.solvers import ClarabelSolver, MathematicalProgram
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from systems.arguments import require_bounds, require_count, require_positive, require_vector
+from systems.detector import GUARD
+
+WITHIN = 0.15  # m: what is farther has no say in a step; a step that leads beyond is looked at piece by piece
+RESOLUTION = 1e-4  # m: the proof of a step ends where it comes that near to the least distance
+MOST_PIECES = 50  # of one step's proof
+
+
+@dataclass(frozen=True)
+class Near:
+    """The pairs of a body of the arm, or of what it holds, and something else that are near each other."""
+
+    distances: np.ndarray  # (n,) m; negative: so deep in each other
+    jacobians: np.ndarray  # (n, J) their derivatives by the joint angles, m/rad
+    pairs: np.ndarray  # (n,) numbers that tell one pair from another
+
+
+class View(Protocol):
+    """What there is to keep away from, as it is known at one posture."""
+
+    def near(self, joints: np.ndarray, within: float) -> Near:
+        """The pairs nearer than `within` (m) with the arm at `joints` (J, rad)."""
+
+
+class Map(Protocol):
+    """What the arm knows of its surroundings."""
+
+    reach: np.ndarray  # (J,) m/rad: no point of the arm, or of what it holds, moves farther than sum_j reach_j |dq_j|
+    obstacle_size: int  # of what it must be told at every tick; 0: it knows all it needs
+
+    def view(self, posture: np.ndarray, obstacles: np.ndarray) -> View:
+        """What is there with the arm at `posture` (M, physical units); `obstacles`: (obstacle_size,)."""
+
+
+class ClearanceFilter(LeafSystem):
+    """Passes the command through, but on the way home it changes the step where the arm would come too near.
+
+    .. pydrake_system::
+
+        name: ClearanceFilter
+        input_ports: [posture, desired_posture, alpha, obstacles]
+        output_ports: [filtered_posture, clearance]
+
+    Inputs:
+        posture: (M,) m_k as sampled at the tick, joint angles in rad first.
+        desired_posture: (M,) the command m_k + dm, same unit.
+        alpha: (1,) alpha_k: below 1/2 the command passes as it is.
+        obstacles: what `Map.view` is told; only where the map asks for it.
+    Outputs:
+        filtered_posture: (M,) m_k + dm' with the dm' nearest to dm such that for every pair of bodies at the distance d
+            within WITHIN, d + grad d . dm' - gap >= (1 - rate) (d - gap): a discrete barrier function (Agrawal and
+            Sreenath, RSS 2017). The other components pass.
+        clearance: (1,) m, the smallest distance at m_k, at most WITHIN; computed only where it is pulled.
+
+    The gradient sees a step's beginning only. So each step is proven by conservative advancement before it is
+    commanded: a distance d frees the path ahead for d / sum_j reach_j |dm'_j|; what cannot be proven to stay `least`
+    away (half the present distance, where that is less) is cut off. Where the solver fails the arm holds. A pair that
+    overlaps already is pushed apart, and has no say in the proof.
+
+    Direct feedthrough, no state. No AutoDiff: the minimum is not differentiable where a pair begins to matter, and
+    signed distances between a cylinder and most shapes have none in Drake.
+    """
+
+    def __init__(
+        self,
+        map: Map,
+        *,
+        posture_size: int,
+        joints: int,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        max_step: np.ndarray,
+        gap: float = 0.01,
+        least: float = 0.005,
+        rate: float = 0.3,
+    ):
+        """
+        Args:
+            posture_size: M.
+            joints: J, the first J components are joint angles.
+            lower, upper: (M,) limits of the command.
+            max_step: (J,) largest step of a tick, rad.
+            gap: distance that the arm keeps, m.
+            least: distance that each step is proven to keep, m.
+            rate: share of the distance above `gap` by which a tick may come nearer, in (0, 1].
+        """
+        super().__init__()
+        size = require_count("posture_size", posture_size)
+        self._joints = require_count("joints", joints, 1, size)
+        self._lower, self._upper = require_bounds("lower", lower, "upper", upper, size)
+        self._max_step = require_vector("max_step", max_step, joints, minimum=0.0)
+        self._gap, self._least = require_positive("gap", gap), require_positive("least", least)
+        self._rate = require_positive("rate", rate)
+        if not least < gap < WITHIN or rate > 1.0:
+            raise ValueError(
+                f"least is {least}, gap {gap} and rate {rate}; needed is least < gap < {WITHIN} and rate <= 1: pass "
+                "such numbers."
+            )
+        self._map = map
+        self._posture = self.DeclareVectorInputPort("posture", size)
+        self._desired = self.DeclareVectorInputPort("desired_posture", size)
+        self._alpha = self.DeclareVectorInputPort("alpha", 1)
+        self._obstacles = None
+        if map.obstacle_size:
+            self._obstacles = self.DeclareVectorInputPort("obstacles", map.obstacle_size)
+        inputs = {self.all_input_ports_ticket()}
+        self.DeclareVectorOutputPort("filtered_posture", size, self._calc_posture, inputs)
+        self.DeclareVectorOutputPort("clearance", 1, self._calc_clearance, inputs)
+
+    def _view(self, context: Context) -> View:
+        obstacles = np.empty(0) if self._obstacles is None else self._obstacles.Eval(context)
+        return self._map.view(self._posture.Eval(context), obstacles)
+
+    def _calc_clearance(self, context: Context, output: BasicVector) -> None:
+        near = self._view(context).near(self._posture.Eval(context)[: self._joints], WITHIN)
+        output[0] = near.distances.min(initial=WITHIN)
+
+    def _calc_posture(self, context: Context, output: BasicVector) -> None:
+        desired = self._desired.Eval(context)
+        output.SetFromVector(desired)
+        if self._alpha.Eval(context)[0] < GUARD:
+            return
+        joints = self._posture.Eval(context)[: self._joints]
+        step = desired[: self._joints] - joints
+        view = self._view(context)
+        near = view.near(joints, WITHIN)
+        filtered = self._proven(view, near, joints, self._kept_away(near, joints, step))
+        if filtered is not step:
+            output.SetFromVector(np.concatenate((joints + filtered, desired[self._joints :])))
+
+    def _kept_away(self, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """`step` (J,) where it keeps the distances, else the one nearest to it that does; 0 where none is found."""
+        bound = -self._rate * (near.distances - self._gap)
+        if np.all(near.jacobians @ step >= bound):
+            return step
+        lower = np.maximum(-self._max_step, np.minimum(self._lower[: self._joints] - joints, 0.0))
+        upper = np.minimum(self._max_step, np.maximum(self._upper[: self._joints] - joints, 0.0))
+        program = MathematicalProgram()
+        dm = program.NewContinuousVariables(self._joints)
+        program.AddQuadraticErrorCost(np.eye(self._joints), step, dm)
+        program.AddBoundingBoxConstraint(lower, upper, dm)
+        program.AddLinearConstraint(near.jacobians, bound, np.full(len(bound), np.inf), dm)
+        result = ClarabelSolver().Solve(program)
+        return result.GetSolution(dm) if result.is_success() else np.zeros(self._joints)
+
+    def _proven(self, view: View, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """`step` (J,) where all of it is proven to keep the least distance, else the part of it that is."""
+        travel = float(self._map.reach @ np.abs(step))  # of the arm's fastest point
+        overlapping = near.pairs[near.distances <= 0.0]
+        nearest = near.distances[near.distances > 0.0].min(initial=WITHIN)
+        least, share = min(self._least, 0.5 * nearest), 0.0
+        for _ in range(MOST_PIECES):
+            share += (nearest - least) / max(travel, 1e-12)
+            if share >= 1.0:
+                return step
+            ahead = view.near(joints + share * step, WITHIN)
+            nearest = ahead.distances[~np.isin(ahead.pairs, overlapping)].min(initial=WITHIN)
+            if nearest - least < RESOLUTION:
+                break
+        return share * step
