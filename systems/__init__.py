@@ -18,6 +18,7 @@ never_detector         none: the network alone
 posture_regulator      Drake's LQR for the discrete posture integrator
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 regulated_mixer        the two of them, as one Diagram
+clearance_filter       the way home that looks: the smallest change of a step that keeps the arm at a distance
 disturbance            moves or stops the arm in an experiment (discrete state)
 switched_controller    all of the controller, as one Diagram
 arguments              checks of constructor arguments

@@ -51,6 +51,8 @@ class Outcome:
     alpha_max_before: float  # the onset
     return_s: float | None  # from the end of the disturbance to the initial posture
     resume_s: float | None  # from the initial posture to alpha <= 0.1
+    way_home_m: float | None  # smallest distance to anything on the ways home, see way_home.py; None: none was gone
+    way_home_nearest: str | None  # the model that was that near
     failure: str | None  # what went wrong first, of SWITCHING_FAILURES, TASK_FAILURES, or "simulation diverged"
     switch_failure: str | None  # of SWITCHING_FAILURES, or "simulation diverged"
     sim_seconds: float  # of simulated time

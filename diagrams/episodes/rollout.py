@@ -15,6 +15,7 @@ from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.narrator import Narrator
 from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.episodes.switching import GUARD, Switching, Until
+from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
 from diagrams.world.clearance_map import ClearanceMap
 from diagrams.world.configuration import World
@@ -205,15 +206,20 @@ class Rollout:
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
         judged = [ports[name] for name in JUDGED]
         rows: dict[str, list] = {name: [] for name in ARRAYS}
-        success = diverged = cut = can_moved = False
+        way_home, steps = WayHome(self.station), round(period / self.world.timing.time_step)
+        success = diverged = cut = can_moved = homing = closed = False
         limit, k = round(time_limit / period), 0
         while k < limit + switching.ticks_disturbed and not success and not cut:
+            for step in range(1, steps if homing else 0):
+                if self._advance((k - 0.5 + step / steps) * period, *ports["state"]):
+                    way_home.see(root, closed)
             # To the middle of the tick: its outputs hold from the update to the next one.
             if not self._advance((k + 0.5) * period, *ports["state"]):
                 diverged = True  # what came before is kept
                 break
             posture, alpha, active, taken, cans = [port.Eval(context).copy() for port, context in judged]
             alpha, active = float(alpha[0]), bool(active[0] > 0.5)
+            homing, closed = alpha >= GUARD and not active, bool(posture[ARM_JOINTS] < self.world.close_below)
             for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans)):
                 rows[name].append(value)
             if pictures and k % PICTURE_EVERY == 0:
@@ -235,7 +241,7 @@ class Rollout:
         narrator.say((k - 1) * period, "task done" if success else unfinished)
         arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
         record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
-        outcome = self._outcome(episode, monitor, record, switching, success, diverged, can_moved)
+        outcome = self._outcome(episode, monitor, record, switching, way_home, success, diverged, can_moved)
         if until != "task":  # what was cut short is not judged
             outcome.success = None
             outcome.failure = outcome.failure if diverged else None
@@ -271,6 +277,7 @@ class Rollout:
         monitor: TaskMonitor,
         record: Record,
         switching: Switching,
+        way_home: WayHome,
         success: bool,
         diverged: bool,
         can_moved: bool,
@@ -317,6 +324,8 @@ class Rollout:
             alpha_max_before=switching.alpha_max_before,
             return_s=seconds(switching.end, switching.home),
             resume_s=seconds(switching.home, switching.resumed),
+            way_home_m=way_home.nearest,
+            way_home_nearest=way_home.name,
             failure=failure,
             switch_failure=switch_failure,
             sim_seconds=len(record.time) * period,

@@ -10,6 +10,7 @@ from typing import Literal
 
 from diagrams.episodes.calibration import UNFITTED
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
+from diagrams.sweeps.blocked import blocked_seeds
 from diagrams.sweeps.task import Task
 from diagrams.world.configuration import World
 from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
@@ -26,6 +27,7 @@ class SweepArguments:
     episodes: int = 40  # of each combination
     seed: int = 0  # episode i has the same scene and disturbance under every controller
     purpose: Literal["evaluation", "validation"] = "evaluation"  # whose scenes: remedies are chosen on validation
+    way_home: Literal["any", "blocked"] = "any"  # blocked: only scenes whose straight way home touches something
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn, or package.module:Class
     detector: list[str] = field(default_factory=lambda: ["recall"])  # as in the registry, or package.module:Class
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B; moved: the can alone
@@ -81,7 +83,12 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     names = {ENCODER} | {f"{label}.safetensors" for label in detectors if label not in UNFITTED}
     encoder_hash = Encoder(folder / ENCODER).hash
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
-    seeds = episode_seeds(arguments.purpose, arguments.seed, arguments.episodes)
+    kinds, asked = _unique(arguments.disturbance), (arguments.purpose, arguments.seed, arguments.episodes)
+    blocked = arguments.way_home == "blocked"
+    seeds = {
+        kind: blocked_seeds(world, *asked, kind, arguments.workers) if blocked else episode_seeds(*asked)
+        for kind in kinds
+    }
     tasks, hashes = [], dict[str, str]()
     for rnn, training_seed in itertools.product(
         _by_label(network_label, arguments.rnn), _unique(arguments.training_seeds)
@@ -107,8 +114,8 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
                     world, rnn, training_seed, detector, gamma, kind, seed, policy.hash, encoder_hash, learned,
                     calibration, arguments.until, arguments.keep_records,
                 )
-                for kind in _unique(arguments.disturbance)
-                for seed in seeds
+                for kind in kinds
+                for seed in seeds[kind]
             ]  # fmt: skip
     return tasks, sorted(names)
 

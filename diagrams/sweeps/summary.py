@@ -116,6 +116,10 @@ def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
             kept = cell[run & ~void]
             one = (kept["guard_crossings"] <= ONE_RETURN).to_numpy(bool)
             entry["one_return"] = rate(one, kept["seed"].to_numpy(), kept["training_seed"].to_numpy())
+            gone = kept[kept["way_home_m"].notna()]
+            free = (gone["way_home_m"] > 0.0).to_numpy(bool)
+            entry["untouched"] = rate(free, gone["seed"].to_numpy(), gone["training_seed"].to_numpy())
+            entry["way_home_m"] = float(gone["way_home_m"].min()) if len(gone) else None
         seconds = float(cell["sim_seconds"].sum())
         entry["needless_share"] = float(cell["needless_s"].sum()) / seconds if seconds else None
         entry["switched_again"] = int((cell["later_switches"] > 0).sum())
@@ -170,7 +174,7 @@ def _groups(rows: pd.DataFrame, columns: list[str]) -> Iterator[tuple[dict[str, 
 
 def table(summary: dict[str, Any]) -> str:
     """Cells and comparisons of a summary as text."""
-    lines = [f"{'controller':24s} {'dist.':5s} {'':14s} {'rate and 95 % interval':33s} {'over seeds':15s} failed first"]
+    lines = [f"{'controller':24s} {'dist.':5s} {'':15s} {'rate and 95 % interval':33s} {'over seeds':15s} failed first"]
     for cell in summary["cells"]:
         for measure in (name for name in MEASURES if name in cell):
             lines.append(f"{controller_name(cell):24s} {cell['disturbance']:5s} {_rate(measure, cell[measure])}")
@@ -181,6 +185,8 @@ def table(summary: dict[str, Any]) -> str:
             lines.append(f"{'':30s} void, since the disturbance never came: {cell['void']}{kinds}")
         if "one_return" in cell:
             lines.append(f"{'':30s} {_rate('one return', cell['one_return'])}")
+            nearest = "" if cell["way_home_m"] is None else f"  nearest {100 * cell['way_home_m']:.1f} cm"
+            lines.append(f"{'':30s} {_rate('touches nothing', cell['untouched'])}{nearest}")
         lost = [f"{100 * cell['needless_share']:.2f} % of the time"] if cell["needless_share"] else []
         lost += [f"switched again in {cell['switched_again']} runs"] if cell["switched_again"] else []
         if lost:
@@ -207,10 +213,10 @@ def table(summary: dict[str, Any]) -> str:
 
 def _rate(words: str, r: dict[str, Any]) -> str:
     if not r["n"]:
-        return f"{words:14s}    0 of    0"
+        return f"{words:15s}    0 of    0"
     low, high = r["interval"]
     return (
-        f"{words:14s} {r['successes']:4d} of {r['n']:4d} {100 * r['rate']:6.1f} % "
+        f"{words:15s} {r['successes']:4d} of {r['n']:4d} {100 * r['rate']:6.1f} % "
         f"[{100 * low:5.1f}, {100 * high:5.1f}]{'e' if r['exact'] else ' '} "
         f"{100 * r['mean']:5.1f} ± {100 * r['deviation']:4.1f} %  {_kinds(r.get('failures', {}))}"
     ).rstrip()

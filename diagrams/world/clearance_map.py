@@ -157,7 +157,9 @@ class _View:
         scene = self._scene
         self._positions[:ARM_JOINTS] = joints
         found = scene.checker.CalcRobotClearance(self._positions, within)
-        robot, other = (np.array([int(i) for i in side], int) for side in (found.robot_indices(), found.other_indices()))
+        robot, other = (
+            np.array([int(i) for i in side], int) for side in (found.robot_indices(), found.other_indices())
+        )
         jacobians = np.reshape(found.jacobians(), (len(robot), len(self._positions)))[:, :ARM_JOINTS]
         return Near(found.distances(), jacobians, scene.plant.num_bodies() * robot + other)
 

@@ -19,6 +19,7 @@ from systems.recall_detector import RecallDetector
 from systems.recurrent_policy import RecurrentPolicy
 from systems.regulated_mixer import RegulatedMixer
 from systems.subspace_detector import SubspaceDetector
+from tests.systems.clearance_fakes import ToldWall, make_filter
 from tests.systems.controller_fakes import PERIOD, FakeEncoder, FakePolicy, image, make_controller
 from tests.systems.system_checks import assert_clone_replays
 
@@ -62,6 +63,14 @@ CASES = {
     "Disturbance": (
         lambda: Disturbance(posture_size=M),
         {("desired_posture", "disturbed_posture")},
+    ),
+    "ClearanceFilter": (
+        lambda: make_filter(ToldWall()),
+        {
+            (i, o)
+            for i in ("posture", "desired_posture", "alpha", "obstacles")
+            for o in ("filtered_posture", "clearance")
+        },
     ),
     "SwitchedController": (
         make_controller,

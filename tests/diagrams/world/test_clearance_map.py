@@ -1,0 +1,163 @@
+"""ClearanceMap: distances by hand, the reach, what is there and what is not, and why the arm cannot meet itself."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.geometry import Role
+
+from diagrams.world.clearance_map import ClearanceMap
+from diagrams.world.configuration import World
+from diagrams.world.inverse_kinematics import HandKinematics
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CAN_RADIUS
+from diagrams.world.station import PickPlaceStation
+from systems.clearance_filter import WITHIN
+
+WORLD = World()
+HOME = WORLD.initial_posture
+OPEN, CLOSED = WORLD.opening, WORLD.closed_opening
+NOTHING = np.empty(0)
+FINGERTIP = 0.017  # m: the fingers' boxes end that far beyond the grasp frame
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return HandKinematics(HOME[:ARM_JOINTS])
+
+
+@pytest.fixture(scope="module")
+def possible():
+    return ClearanceMap(WORLD)
+
+
+@pytest.fixture(scope="module")
+def true():
+    return ClearanceMap(WORLD, possible=False)
+
+
+@pytest.fixture(scope="module")
+def station():
+    return PickPlaceStation(WORLD, camera=False)
+
+
+def can_poses(first, second):
+    return np.concatenate([[1.0, 0, 0, 0, *first], [1.0, 0, 0, 0, *second]])
+
+
+def nearest(map, joints, opening, obstacles=NOTHING, within=0.3):
+    view = map.view(np.append(joints, opening), obstacles)
+    return view.near(joints, within).distances.min(initial=within)
+
+
+def test_a_held_can_is_where_it_was_grasped(possible, hand, station):
+    # 3 cm above the shelf's left spot, which a can stands on for all the map knows: what overlaps it is not there.
+    spot = station.spot("left")
+    joints = hand.solve_ik(spot + [0, 0, 0.03 + 0.01])
+    assert nearest(possible, joints, CLOSED, within=0.1) == pytest.approx(0.03, abs=0.004)  # it leans by some degrees
+    # Open fingers stand on either side of the can that may be there: 80 mm for 53.
+    assert nearest(possible, joints, OPEN, within=0.1) == pytest.approx(0.0135, abs=0.002)
+
+
+def test_a_can_may_stand_wherever_one_may(possible, hand, station):
+    centre = np.array([*np.mean(WORLD.grid.bounds, axis=0), CAN_HALF_HEIGHT])
+    above = hand.solve_ik(centre + [0, 0, CAN_HALF_HEIGHT + 0.10])
+    assert nearest(possible, above, OPEN) == pytest.approx(0.10 - FINGERTIP, abs=0.004)
+    for spot in ("left", "right"):
+        above = hand.solve_ik(station.spot(spot) + [0, 0, CAN_HALF_HEIGHT + 0.06])
+        assert nearest(possible, above, OPEN) == pytest.approx(0.06 - FINGERTIP, abs=0.006)
+
+
+def test_a_can_that_the_arm_overlaps_is_not_there(possible, hand, station):
+    spot = station.spot("left")
+    joints = hand.solve_ik(spot + [0, 0, 0.05])
+    view = possible.view(np.append(joints, CLOSED), NOTHING)
+    assert view.near(joints, 0.0).distances.size == 0  # the held can is where the possible one would be
+    # As long as the view is of that posture, not even where the hand goes meanwhile; the other spot's can is there.
+    other = hand.solve_ik(station.spot("right") + [0, 0, 0.05])
+    assert view.near(hand.solve_ik(spot + [0, 0, 0.02]), 0.0).distances.size == 0
+    assert view.near(other, 0.0).distances.min() < -0.02
+
+
+def test_the_truth_is_what_the_map_is_told(true, hand, station):
+    desk, right = np.array([0.53, 0.0, CAN_HALF_HEIGHT]), station.spot("right")
+    above = hand.solve_ik(desk + [0, 0, CAN_HALF_HEIGHT + 0.08])
+    assert nearest(true, above, OPEN, can_poses(desk, right)) == pytest.approx(0.08 - FINGERTIP, abs=0.004)
+    away = desk + [0, 0.5, 0]  # then the desk is nearest
+    assert nearest(true, above, OPEN, can_poses(away, right)) > 0.15
+    # Held: the can moves with the hand, wherever exactly it is told to be.
+    held = desk + [0, 0, CAN_HALF_HEIGHT + 0.07]
+    assert nearest(true, above, CLOSED, can_poses(held, right)) == pytest.approx(0.12, abs=0.006)
+    assert nearest(true, above, CLOSED, can_poses(away, right)) > 0.15  # it was taken
+
+
+def test_jacobians_are_the_derivatives(possible, hand, station):
+    joints = hand.solve_ik(station.spot("left") + [0.02, 0.03, 0.08])
+    view, step = possible.view(np.append(joints, CLOSED), NOTHING), 1e-6
+    near = view.near(joints, WITHIN)
+    assert len(near.pairs) > 5
+    order = np.argsort(near.distances)[:3]
+    for j, unit in enumerate(np.eye(ARM_JOINTS)):
+        ahead, behind = (view.near(joints + sign * step * unit, WITHIN) for sign in (1, -1))
+        slope = (ahead.distances[order] - behind.distances[order]) / (2 * step)
+        np.testing.assert_allclose(near.jacobians[order, j], slope, atol=2e-3)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6))
+def test_property_no_distance_falls_faster_than_the_reach_says(seed):
+    """What the proof of a step rests on: distances are Lipschitz in the joint angles."""
+    map = _map()
+    rng = np.random.default_rng(seed)
+    a = HOME[:ARM_JOINTS] + rng.uniform(-0.6, 0.6, ARM_JOINTS)
+    b = a + rng.uniform(-0.3, 0.3, ARM_JOINTS)
+    view = map.view(np.append(HOME[:ARM_JOINTS], rng.choice([OPEN, CLOSED])), NOTHING)
+    before, after = (view.near(joints, 1.0).distances.min(initial=1.0) for joints in (a, b))
+    assert before - after <= map.reach @ np.abs(b - a) + 1e-6
+
+
+_kept: list[ClearanceMap] = []
+
+
+def _map() -> ClearanceMap:
+    if not _kept:
+        _kept.append(ClearanceMap(WORLD))
+    return _kept[0]
+
+
+def test_the_reach_is_that_of_the_stretched_arm(possible):
+    # Joint 7 turns the hand, whose held can ends 0.06 m beyond the grasp frame; joint 1 carries two links of 0.31 m.
+    assert np.all(np.diff(possible.reach) <= 0.0)
+    assert possible.reach[6] == pytest.approx(0.19, abs=0.02)
+    assert possible.reach[0] - possible.reach[2] == pytest.approx(0.31)
+    assert possible.reach[2] - possible.reach[4] == pytest.approx(0.31)
+    assert possible.reach[4] - possible.reach[6] == pytest.approx(0.175)
+
+
+def test_no_joint_angles_let_the_arm_meet_itself(station):
+    """Why the map leaves the arm's own pairs out; hand and held can against all links, links against links."""
+    from pydrake.planning import RobotDiagramBuilder
+
+    from diagrams.world.station import add_models
+
+    builder = RobotDiagramBuilder(time_step=0.0)
+    plant = builder.plant()
+    add_models(plant, ("arm", "gripper"))
+    plant.Finalize()
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    graph = diagram.scene_graph()
+    inspector = graph.model_inspector()
+    links = {f"link_{j + 1}": j for j in range(ARM_JOINTS)}
+    shapes = {
+        shape: links.get(plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).name(), ARM_JOINTS)
+        for shape in inspector.GetAllGeometryIds(Role.kProximity)
+    }
+    pairs = [(a, b) for a in shapes for b in shapes if shapes[a] + 3 <= shapes[b]]
+    lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+    rng, closest = np.random.default_rng(0), np.inf
+    for _ in range(100):
+        plant.SetPositions(plant.GetMyMutableContextFromRoot(context), rng.uniform(lower, upper))
+        query = graph.get_query_output_port().Eval(graph.GetMyContextFromRoot(context))
+        found = [query.ComputeSignedDistancePairClosestPoints(a, b).distance for a, b in pairs]
+        closest = min(closest, *found)
+    assert closest > CAN_RADIUS  # so that a held can, that much wider than the hand, does not either

@@ -1,0 +1,41 @@
+"""A point in a plane before walls: what it is near to can be worked out by hand."""
+
+import numpy as np
+
+from systems.clearance_filter import ClearanceFilter, Near
+
+
+class Walls:
+    """A Map for a point whose two joint angles are its coordinates (m); a wall is a normal and an offset.
+
+    The distance to it is normal . q - offset.
+    """
+
+    obstacle_size = 0
+
+    def __init__(self, *walls):
+        self.normals = np.array([wall[0] for wall in walls], float).reshape(-1, 2)
+        self.offsets = np.array([wall[1] for wall in walls], float)
+        self.reach = np.ones(2)
+
+    def view(self, posture, obstacles):
+        return self
+
+    def near(self, joints, within):
+        distances = self.normals @ joints - self.offsets
+        seen = distances < within
+        return Near(distances[seen], self.normals[seen], np.flatnonzero(seen))
+
+
+class ToldWall(Walls):
+    """A wall ahead in the first coordinate, at the place that the map is told."""
+
+    obstacle_size = 1
+
+    def view(self, posture, obstacles):
+        return Walls(((-1.0, 0.0), -obstacles[0]))
+
+
+def make_filter(map, **changes) -> ClearanceFilter:
+    arguments = dict(posture_size=3, joints=2, lower=-np.ones(3), upper=np.ones(3), max_step=np.full(2, 0.5))
+    return ClearanceFilter(map, **arguments | changes)

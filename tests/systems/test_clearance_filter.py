@@ -1,0 +1,118 @@
+"""ClearanceFilter: the barrier by hand, the nearest step, the proof of a step, and what passes untouched."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from systems.clearance_filter import WITHIN
+from tests.systems.clearance_fakes import ToldWall, Walls, make_filter
+from tests.systems.system_checks import evaluate
+
+AHEAD = ((-1.0, 0.0), -0.1)  # a wall at 0.1 m in the first coordinate
+GAP, LEAST, RATE = 0.01, 0.005, 0.3  # the defaults
+
+
+def filtered(walls, posture, desired, alpha=1.0, output="filtered_posture", **changes):
+    inputs = dict(posture=[*posture, 0.03], desired_posture=[*desired, 0.08], alpha=[alpha])
+    return evaluate(make_filter(walls, **changes), output, inputs)
+
+
+def test_barrier_by_hand():
+    # 0.1 m before the wall, 0.09 above the gap: a tick may use up 0.3 of that; along the wall the step stays.
+    np.testing.assert_allclose(filtered(Walls(AHEAD), [0.0, 0.0], [0.08, 0.05]), [0.027, 0.05, 0.08], atol=1e-6)
+    np.testing.assert_allclose(
+        filtered(Walls(AHEAD), [0.0, 0.0], [0.08, 0.0], gap=0.02, rate=0.5), [0.04, 0.0, 0.08], atol=1e-6
+    )
+
+
+def test_nearer_than_the_gap_it_is_pushed_back():
+    # 4 mm before the wall: 6 mm below the gap, 0.3 of them a tick.
+    np.testing.assert_allclose(filtered(Walls(AHEAD), [0.096, 0.0], [0.12, 0.0])[0], 0.096 - 0.0018, atol=1e-6)
+
+
+@pytest.mark.parametrize("desired", [[-0.2, 0.3], [0.0269, 0.0], [0.0, 0.0]])
+def test_a_step_that_keeps_the_distance_passes_to_the_bit(desired):
+    posture = np.array([0.0, 0.0])
+    assert np.array_equal(filtered(Walls(AHEAD), posture, desired)[:2], posture + (np.array(desired) - posture))
+
+
+def test_the_learned_motion_passes_to_the_bit():
+    assert np.array_equal(filtered(Walls(AHEAD), [0.0, 0.0], [0.3, 0.1], alpha=0.49), [0.3, 0.1, 0.08])
+    assert filtered(Walls(AHEAD), [0.0, 0.0], [0.3, 0.1], alpha=0.5)[0] < 0.1
+
+
+def test_the_clearance_is_that_of_the_posture():
+    assert filtered(Walls(AHEAD), [0.04, 0.0], [0.0, 0.0], output="clearance") == pytest.approx(0.06)
+    assert filtered(Walls(AHEAD), [-0.9, 0.0], [0.0, 0.0], output="clearance") == WITHIN
+
+
+def test_the_map_is_told_of_obstacles():
+    inputs = dict(posture=[0.0, 0.0, 0.0], desired_posture=[0.3, 0.0, 0.0], alpha=[1.0])
+    for place in (0.1, 0.05):
+        got = evaluate(make_filter(ToldWall()), "filtered_posture", inputs | dict(obstacles=[place]))
+        assert got[0] == pytest.approx(0.3 * (place - GAP), abs=1e-6)
+
+
+def test_a_wall_that_the_gradient_does_not_see_cuts_the_step():
+    # At its beginning the wall is 0.2 m away, farther than WITHIN. The arm moves as fast as its reach says, so that the
+    # proof goes up to the least distance itself.
+    step = filtered(Walls(AHEAD), [-0.1, 0.0], [0.3, 0.0])[:2] - [-0.1, 0.0]
+    assert 0.2 - LEAST - 1.1e-4 < step[0] < 0.2 - LEAST + 1e-9
+    assert step[1] == 0.0
+
+
+def test_what_overlaps_has_no_say_in_the_proof():
+    # Inside a wall the arm is pushed out of it, the whole step that the barrier asks for.
+    assert filtered(Walls(AHEAD), [0.12, 0.0], [0.2, 0.0])[0] == pytest.approx(0.12 - 0.3 * 0.03, abs=1e-6)
+
+
+def test_where_no_step_keeps_the_distance_the_arm_holds():
+    between = Walls(((-1.0, 0.0), -0.1), ((1.0, 0.0), 0.096))  # walls 4 mm apart: each pushes it into the other
+    np.testing.assert_array_equal(filtered(between, [0.098, 0.0], [0.2, 0.1]), [0.098, 0.0, 0.08])
+
+
+def test_the_limits_hold():
+    # 0.3 of 0.31 m would be too fast; the wall pushes, the joint's limit does not give way.
+    assert filtered(Walls(((-1.0, 0.0), 0.3)), [0.0, 0.0], [0.0, 0.0], max_step=np.full(2, 0.05))[0] == 0.0
+    pushed = filtered(Walls(((1.0, 0.0), 0.0)), [-0.05, 0.0], [-0.3, 0.0], lower=np.array([-1.0, -0.2, -1.0]))
+    assert pushed[0] == pytest.approx(-0.05 + 0.3 * 0.06, abs=1e-6)
+
+
+corridor = st.floats(0.012, 0.14), st.floats(0.012, 0.14), st.floats(-0.2, 0.2), st.floats(-0.1, 0.1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(*corridor)
+def test_property_the_step_is_the_nearest_that_keeps_every_distance(right, left, x, y):
+    walls = Walls(((-1.0, 0.0), -right), ((1.0, 0.0), -left))
+    got = filtered(walls, [0.0, 0.0], [x, y])[:2]
+    wanted = np.clip(x, -RATE * (left - GAP), RATE * (right - GAP))
+    np.testing.assert_allclose(got, [wanted, y], atol=2e-5)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.0, 2 * np.pi), st.floats(0.006, 0.2), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4))
+def test_property_no_command_comes_nearer_than_the_least_distance(angle, distance, x, y):
+    normal = np.array([np.cos(angle), np.sin(angle)])
+    walls, posture = Walls((normal, -distance)), np.zeros(2)
+    for _ in range(20):
+        posture = filtered(walls, posture, np.clip(posture + [x, y], -1, 1))[:2]
+        assert normal @ posture + distance >= min(LEAST, distance) - 1e-9
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(gap=0.0), "gap is 0.0.*greater than 0"),
+        (dict(gap=0.2), "gap 0.2.*least < gap < 0.15"),
+        (dict(least=0.02), "least is 0.02.*least < gap"),
+        (dict(rate=1.5), "rate 1.5.*rate <= 1"),
+        (dict(joints=4), "joints is 4.*at most 3"),
+        (dict(max_step=[-1.0, 1.0]), "max_step.*at least 0"),
+        (dict(lower=np.ones(3)), "lower is .*swap or widen"),
+    ],
+)
+def test_error_names_value_limit_and_remedy(changes, message):
+    with pytest.raises(ValueError, match=f"(?s){message}"):
+        make_filter(Walls(AHEAD), **changes)
