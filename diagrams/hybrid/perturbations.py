@@ -85,8 +85,7 @@ class PerturbationSpace:
     def __init__(self, world: World, scenes: Sequence[Episode], records: Sequence[Record]):
         """`records`: of the scenes' undisturbed runs."""
         self._scenes, self._grid = scenes, world.grid.bounds
-        self._home = world.initial_posture[:ARM_JOINTS]
-        hand = HandKinematics(self._home)
+        hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
         self._lower, self._upper = hand.lower + LIMIT_MARGIN, hand.upper - LIMIT_MARGIN
         self._checker = CollisionChecker()
         places = [self._checker.spot(scene.vacant) for scene in scenes]
@@ -95,9 +94,8 @@ class PerturbationSpace:
     def propose(self, suggest: Any) -> Perturbation | None:
         """What a sampler proposes; None where no experimenter could do it.
 
-        The moment does not come, or the arm would leave its limits or touch the scene on its path there or home. The
-        first half of the moments is subtask 1, the second subtask 2, each from the earliest distance to the goal to the
-        latest.
+        The moment does not come, or the arm would leave its limits or touch the scene on its path there. The first half
+        of the moments is subtask 1, the second subtask 2, each from the earliest distance to the goal to the latest.
 
         `suggest`: as optuna's Trial.suggest_float. Numbers only: CMA-ES knows no choices.
         """
@@ -135,9 +133,7 @@ class PerturbationSpace:
             return None
         episode = self._scenes[scene]
         self._checker.set_scene(episode.can_xy if subtask == 1 else None, episode.vacant)
-        touches = self._checker.path_touches
-        clear = touches(start, target) is None and touches(target, self._home) is None
-        return target if clear else None
+        return target if self._checker.path_touches(start, target) is None else None
 
 
 def judge(

@@ -25,7 +25,7 @@ def blocked_seeds(world: World, purpose: str, seed: int, count: int, kind: str, 
     if kind not in ("A", "B"):
         raise InputError(f"from a disturbance '{kind}' there is no way home that could be blocked: choose A or B")
     seeds, found = episode_seeds(purpose, seed, SEEDS_APART), list[int]()
-    each = BATCH * workers
+    each = BATCH * max(workers, 1)
     with Pool(workers) as pool, tqdm(total=count, desc=f"blocked ways home, {kind}", leave=False, disable=None) as bar:
         for start in range(0, len(seeds), each):
             jobs = [(world, kind, seeds[i : i + BATCH]) for i in range(start, start + each, BATCH)]

@@ -39,7 +39,7 @@ def outcome_row(folder: Path, task: Task) -> dict:
         **task.labels(), "can_xy": tuple(rng.uniform(size=2)), "vacant": "left", "picked": True, "placed": success,
         "home": True, "success": success, "switched": disturbed, "detection_delay_s": 0.2 if disturbed else None,
         "void": False, "way_home_clear": task.seed % 8 > 0 if disturbed else None, "guard_crossings": 2 * disturbed,
-        "later_switches": 0, "needless_s": 0.0,
+        "later_switches": 0, "needless_s": 0.0, "way_home_m": 0.02 if disturbed else None, "way_home_nearest": None,
         "false_switches": 0, "returned": True if disturbed else None, "resumed": switched if disturbed else None,
         "switch_success": switched, "paper_switch_success": switched, "alpha_max_before": float(rng.uniform(0, 0.1)),
         "return_s": 2.0 if disturbed else None, "resume_s": None,

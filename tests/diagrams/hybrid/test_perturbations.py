@@ -82,6 +82,14 @@ def test_what_no_experimenter_could_do_is_none(space, monkeypatch):
     assert propose(space) is None
 
 
+def test_a_way_home_that_touches_something_is_no_reason_against_it(space, world, monkeypatch):
+    home = world.initial_posture[:7]
+    monkeypatch.setattr(
+        space._checker, "path_touches", lambda start, goal: "desk" if np.array_equal(goal, home) else None
+    )
+    assert propose(space) is not None
+
+
 def test_nominal_commands_by_hand(world, hand):
     n = 4
     joints = np.array([world.initial_posture + 0.1 * k for k in range(n)])

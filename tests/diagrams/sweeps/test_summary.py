@@ -189,7 +189,7 @@ def test_episodes_whose_way_home_is_clear_are_also_counted_apart():
     found = cells(rows)[0]
     assert (found["task"]["n"], found["task"]["clear"]["n"], found["task"]["clear"]["successes"]) == (5, 4, 3)
     assert found["switching"]["clear"]["failures"] == {"not resumed": 1}
-    assert "way home clear    3 of    4" in table({"cells": [found], "comparisons": []})
+    assert "way home clear     3 of    4" in table({"cells": [found], "comparisons": []})
     assert "clear" not in cells(frame("lstm", [1, 0]))[0]["task"]
 
 
@@ -206,6 +206,16 @@ def test_returns_that_no_disturbance_explains():
     )
     for kind in ("none", "moved"):
         assert "one_return" not in cells(rows.assign(disturbance=kind))[0]
+
+
+def test_what_touches_something_on_its_way_home_is_counted():
+    rows = frame("lstm", [1, 1, 1, 1, 1]).assign(way_home_m=[0.02, 0.012, 0.0, -0.004, np.nan])
+    found = cells(rows)[0]
+    assert (found["untouched"]["successes"], found["untouched"]["n"]) == (2, 4)  # the fifth went no way home
+    assert found["way_home_m"] == -0.004
+    assert "touches nothing    2 of    4" in table({"cells": [found], "comparisons": []})
+    assert "nearest -0.4 cm" in table({"cells": [found], "comparisons": []})
+    assert cells(frame("lstm", [1, 1]))[0]["way_home_m"] is None
 
 
 def test_an_episode_that_raised_is_a_failure():
