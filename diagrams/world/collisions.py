@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from pydrake.geometry import Role
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
@@ -16,7 +16,8 @@ from diagrams.world.station import add_models, can_body, spot_centre
 LEAST_SAMPLES = 24  # of a path
 SPACING = np.deg2rad(1.0)  # of the joint that moves most, between two samples
 GRASPED_BELOW = 0.010  # m: the hand holds the can by so much above its middle
-X_GRASP_CAN = RigidTransform([0.0, 0.0, GRASPED_BELOW])  # of the held can; the grasp frame's z points out of the hand
+# Of the held can, upright where the hand points down: the grasp frame's z points out of the hand.
+X_GRASP_CAN = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0.0, 0.0, GRASPED_BELOW])
 
 
 class CollisionChecker:
