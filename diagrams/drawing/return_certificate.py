@@ -1,4 +1,4 @@
-"""The certificate of mode `return`: V over time, and from where a straight path home touches something."""
+"""The certificate of mode `return`: V over time, and where in the box the arm is when it is needed."""
 
 from pathlib import Path
 from typing import Any
@@ -7,60 +7,57 @@ import numpy as np
 
 from diagrams.drawing.style import BLUE, GREEN, ORANGE, RED, new_figure, save
 
-TOUCHED = {"desk": ORANGE, "shelf": GREEN, "can_to_pick": RED, "can_on_shelf": "purple"}
+COLOURS = {"box": BLUE, "onsets": GREEN, "targets": ORANGE}
+WORDS = {"box": "uniform in the box", "onsets": "onsets of a disturbance", "targets": "targets of disturbance A"}
+BINS, LEAST = 40, 1e-3  # of V in the picture
 
 
 def save_certificate(data: dict[str, Any], path: Path) -> None:
-    """Draws V against the certified rate (left) and the starts, from above and from the side.
+    """Draws V against the certified rates, of the box (left), of onsets and targets (middle); and V where they start.
 
     Args:
-        data: `values`, V at the ticks of each trajectory from inside the set; its `level`, that `at_home`, `rate` a
-            tick, `period` s; `home` (3,), grasp frame at home, m; `grid`, two corners of the cans' area; `inside` and
-            `outside`: `hands` (n, 3) m, `touches`, names of models or None, and outside `failed` (n,) bool.
+        data: by kind of COLOURS `values`, V at the ticks of each clear way home, `promises`, V at most at the ticks,
+            and `levels`, (n,) V of the postures; `at_home`, the level within which the arm is at home; `period`, s.
     """
-    from matplotlib.patches import Rectangle
-
-    figure, (left, above, side) = new_figure(1, 3, figsize=(15, 4.6))
-    _draw_values(left, data)
-    for axis, vertical, title in ((above, 1, "from above"), (side, 2, "from the side")):
-        _draw_starts(axis, data, vertical)
-        axis.set_title(f"where the hand starts, {title}", fontsize=10)
-    corner, opposite = data["grid"]
-    above.add_patch(Rectangle(corner, *(opposite - corner), fill=False, ls=":", ec="0.4"))
-    above.annotate("cans", (opposite[0], corner[1]), fontsize=7, color="0.4", ha="right", va="top")
-    above.legend(fontsize=7, loc="best")
+    figure, (left, middle, right) = new_figure(1, 3, figsize=(15, 4.6))
+    parts = (left, ("box",), "the whole box"), (middle, ("onsets", "targets"), "onsets and targets")
+    for axis, kinds, title in parts:
+        _draw_values(axis, data, kinds)
+        axis.set_title(f"clear ways home, {title}", fontsize=10)
+    bins = np.linspace(0.0, max(1.0, *(np.max(v, initial=0.0) for v in data["levels"].values())), BINS + 1)
+    for kind, levels in data["levels"].items():
+        weights = np.full(len(levels), 1.0 / max(len(levels), 1))
+        label = f"{WORDS[kind]} ({len(levels)})"
+        right.hist(levels, bins, weights=weights, histtype="step", lw=1.5, color=COLOURS[kind], label=label)
+    right.axvline(1.0, color="0.4", ls=":")
+    right.text(0.99, 0.6, "border of the box", rotation=90, ha="right", va="center", fontsize=8, color="0.4",
+               transform=right.get_xaxis_transform())  # fmt: skip
+    right.set(xlabel="V", ylabel="share of the postures")
+    right.margins(y=0.4)  # room for the words
+    right.legend(fontsize=8, loc="upper center")
+    right.set_title("where in the box the arm is", fontsize=10)
     save(figure, path)
 
 
-def _draw_values(axis: Any, data: dict[str, Any]) -> None:
-    length = max(len(v) for v in data["values"])
-    rows = np.array([np.append(v, np.full(length - len(v), np.nan)) for v in data["values"]]) / data["level"]
-    time = data["period"] * np.arange(length)
-    counted = np.sum(np.isfinite(rows), axis=0) >= max(1, len(rows) // 50)
-    low, middle, high = np.nanquantile(rows[:, counted], [0.0, 0.5, 1.0], axis=0)
-    axis.fill_between(time[counted], low, high, color=BLUE, alpha=0.25, lw=0, label="all postures")
-    axis.semilogy(time[counted], middle, color=BLUE, label="median")
-    axis.semilogy(time, data["rate"] ** np.arange(length), color=RED, ls="--", label="certified")
-    home = data["at_home"] / data["level"]
+def _draw_values(axis: Any, data: dict[str, Any], kinds: tuple[str, ...]) -> None:
+    longest = 0
+    for kind in kinds:
+        values = data["values"][kind]
+        if not values:
+            continue
+        length = max(len(v) for v in values)
+        longest = max(longest, length)
+        rows = np.array([np.append(v, np.full(length - len(v), v[-1])) for v in values])  # at home it stays there
+        time = data["period"] * np.arange(length)
+        low, median, high = np.maximum(np.quantile(rows, [0.0, 0.5, 1.0], axis=0), LEAST)
+        axis.fill_between(time, low, high, color=COLOURS[kind], alpha=0.2, lw=0)
+        axis.semilogy(time, median, color=COLOURS[kind], label=f"{WORDS[kind]}: median and range of {len(rows)}")
+    promise = data["promises"][kinds[0]]
+    home = data["at_home"]
+    shown = min(len(promise), max(longest, int(np.argmax(promise <= home)) + 3))
+    time = data["period"] * np.arange(shown)
+    axis.semilogy(time, promise[:shown], color=RED, ls="--", label="certified")
     axis.axhline(home, color="0.5", lw=0.8, ls=":")
-    axis.text(time[-1], 1.15 * home, "at home", ha="right", fontsize=8, color="0.4")
-    axis.set(ylim=(1e-3, 2), xlabel="time (s)", ylabel="V / level of the set")
-    axis.legend(fontsize=8, loc="lower left")
-    axis.set_title(f"trajectories home from {len(rows)} postures inside the set", fontsize=10)
-
-
-def _draw_starts(axis: Any, data: dict[str, Any], vertical: int) -> None:
-    def mark(group: str, chosen: np.ndarray, marker: str, label: str, **style: Any) -> None:
-        points = data[group]["hands"][chosen][:, [0, vertical]].T
-        axis.plot(*points, marker, label=f"{group}, {label} ({chosen.sum()})", **style)
-
-    touched = {group: np.array([name or "" for name in data[group]["touches"]]) for group in ("inside", "outside")}
-    mark("outside", np.asarray(data["outside"]["failed"], bool), "x", "fails", color="0.5", ms=4)
-    mark("inside", touched["inside"] == "", ".", "clear", color=BLUE, ms=2, alpha=0.4)
-    for group, marker in (("inside", "."), ("outside", "^")):
-        for name, colour in TOUCHED.items():
-            if name in touched[group]:
-                mark(group, touched[group] == name, marker, f"path touches {name}", color=colour, ms=5)
-    axis.plot(*data["home"][[0, vertical]], "k+", ms=10, label="initial posture")
-    axis.set_aspect("equal", adjustable="datalim")
-    axis.set(xlabel="x (m)", ylabel=f"{'xyz'[vertical]} (m)")
+    axis.text(time[-1], 1.1 * home, "surely at home", ha="right", fontsize=8, color="0.4")
+    axis.set(ylim=(LEAST, 1.5), xlabel="time (s)", ylabel="V")
+    axis.legend(fontsize=8, loc="upper right")

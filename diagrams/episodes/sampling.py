@@ -31,7 +31,7 @@ LIMIT_MARGIN = np.deg2rad(2.0)
 CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
 MOVED_BY = (0.03, 0.06)  # how far a can is moved while the hand approaches it, m
 # Seeds of one purpose never meet those of another: see episode_seeds.
-SEED_BASE = {"validation": 1_000_000, "evaluation": 2_000_000}
+SEED_BASE = {"validation": 1_000_000, "evaluation": 2_000_000, "certificate": 3_000_000}
 SEEDS_APART, SEED_BLOCKS = 10_000, 100
 
 
@@ -122,6 +122,15 @@ class EpisodeSampler:
         if given.can_moved_to is not None:
             self.require_reachable(given.can_moved_to)
         return replace(episode, disturbance=given, way_home_clear=None)
+
+    def onset_posture(self, episode: Episode) -> np.ndarray:
+        """(7,) rad: where the teacher is at the onset of the disturbance of `episode`, which has a level.
+
+        Raises InputError for a level that the teacher does not come below.
+        """
+        given = episode.disturbance
+        assert given.level is not None
+        return self._approach(given.subtask, episode.can_xy, episode.vacant).joints_at(given.level)
 
     def require_reachable(self, can_xy: Sequence[float]) -> None:
         """Raises InputError unless the hand can hover over, grasp and lift a can at `can_xy` (m, world)."""

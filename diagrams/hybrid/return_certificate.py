@@ -1,216 +1,160 @@
 """A certificate for mode `return`: from which postures the LQR brings the arm home, how fast; and its test.
 
-In this mode the command is m + clamp(-K (m - m_0)) once a tick, and the servo follows with an error e. S of the
-discrete Riccati equation makes V = (m - m_0)' S (m - m_0) a Lyapunov function of the ideal loop: V[k+1] <= rate V[k].
-The certified set is the largest level set of V
-
-- within the joint limits,
-- in which no step of the command is clamped by the joints' speeds,
-- in which the servo's error |e| <= eta |K (m - m_0)|, in V's norm, leaves the loop contracting.
-
-eta is measured on postures of its own, with a safety factor, before any posture of the proof is simulated. What the
-certificate does not cover is contact: that share is measured.
+In this mode the command is m + clamp(-K (m - m_0)) once a tick, and the servo follows with an error. K is a multiple of
+the identity, so the joints go home each for itself, and V, the gauge of the box of joint limits (see BoxGauge), falls
+in the ideal loop from every posture of that box, at a rate known in closed form. What the servo takes from it is
+measured on ways home of their own, with a safety factor, before any posture of the proof is simulated: for the postures
+in which a disturbance meets or leaves the arm, and for the whole box, where of the first tick from rest it is promised
+only that V does not rise. The proof are fresh postures on the full plant, a can in the hand in half of them. What the
+certificate does not cover is contact: ways that come near to something are counted apart.
 """
 
-from collections import Counter
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
+from diagrams.episodes.sampling import episode_seeds
 from diagrams.episodes.store import RowStore
-from diagrams.hybrid.common import NetworkArguments
-from diagrams.hybrid.lyapunov import SAFETY_FACTOR, Lyapunov
-from diagrams.hybrid.return_trajectories import Sample, Trajectory, sample_postures, trajectories_home
+from diagrams.hybrid.box_gauge import BoxGauge
+from diagrams.hybrid.common import Arguments
+from diagrams.hybrid.delay_margin import delay_margin, measured_delay_margin
+from diagrams.hybrid.return_promise import SAFETY_FACTOR, Promise
+from diagrams.hybrid.return_proof import KINDS, holds, judge, total
+from diagrams.hybrid.return_samples import Sample, box_samples, drawn_samples
+from diagrams.hybrid.return_trajectories import Trajectory, trajectories_home
 from diagrams.world.configuration import World
-from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS
-from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE
-from models.errors import InputError
 
-V_TOLERANCE = 1e-3  # of the level that bounds "at home": V may rise by that much from tick to tick
-FLOOR = 1e-2  # of that level: below it a ratio of two values of V says nothing
+CALIBRATION_SHARE = 10  # postures or episodes of the proof for one of the calibration
+LEAST_CALIBRATION = {"box": 40, "draws": 10}  # postures, episodes
 
 
 @dataclass
-class Return(NetworkArguments):
+class Return(Arguments):
     """The certificate of mode `return`, and its proof on the full plant."""
 
-    samples: int = 10_000  # postures inside the certified set
-    outside: int | None = None  # postures outside; default: a fifth of the samples
+    samples: int = 10_000  # postures of the proof, uniform in the box
+    draws: int = 1000  # episodes whose onset posture and target of disturbance A are looked at, and simulated
     workers: int = 2
 
-    LEAST: ClassVar[dict[str, int]] = {"samples": 1, "outside": 0, "workers": 0}
+    LEAST: ClassVar[dict[str, int]] = {"samples": 1, "draws": 1, "workers": 0}
 
     def run(self) -> int:
         """Makes and tests the certificate; returns 0 if the simulations bear it out, else 1."""
         from diagrams.drawing.return_certificate import save_certificate
-        from models.files.policies import read_policy
 
-        world = self.world()
-        units = read_policy(self.policy_path)[0].scaling.half_range[:ARM_JOINTS]
-        sizes = {"samples": self.samples, "outside": self.samples // 5 if self.outside is None else self.outside}
-        path = self.out / "return_trajectories.jsonl"
+        world, path = self.world(), self.out / "return_trajectories.jsonl"
         with RowStore(path, fingerprint(world, "diagrams/hybrid")) as store, Pool(self.workers) as pool:
-            found, picture = certify(world, units, **sizes, seed=self.seed, pool=pool, store=store)
+            found, picture = certify(
+                world, samples=self.samples, draws=self.draws, seed=self.seed, pool=pool, store=store
+            )
         self.write("return", found)
         save_certificate(picture, self.out / "return.png")
         path.unlink()  # it is for a run that is broken off
-        print(
-            f"inside: {found['failures_inside']} of {found['samples_inside']} fail to come home; V rises by at most "
-            f"{found['max_v_increase']:.2e} (tolerance {found['v_tolerance']:.2e}); V contracts by "
-            f"{found['contraction_rate_measured']:.3f} a tick (certified {found['contraction_rate']:.3f})\n"
-            f"outside: {found['failures_outside']} of {found['samples_outside']} fail; straight paths home that touch "
-            f"something: {found['collision_share']} inside, {found['collision_share_outside']} outside"
-        )
+        print(_words(found))
         return 0 if holds(found) else 1
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """The certified set {V <= level}, and what is promised in it."""
+    """What is promised in the box, by what the postures are: of `box`, or `onsets` and `targets`."""
 
-    lyapunov: Lyapunov
-    levels: dict[str, float]  # by what bounds the set
-    at_home: float  # level within which every joint is at home
-    eta: float  # relative tracking error that is allowed for
-    calibrated: int  # postures that it was measured on
-
-    @property
-    def level(self) -> float:
-        """Of the certified set."""
-        return min(self.levels.values())
-
-    @property
-    def rate(self) -> float:
-        """Contraction of V a tick."""
-        return self.lyapunov.rate_with(self.eta)
-
-    @property
-    def ticks_home(self) -> int:
-        """After which the arm is at home."""
-        return int(np.ceil(np.log(self.level / self.at_home) / -np.log(self.rate)))
+    gauge: BoxGauge
+    at_home: float  # level of V within which every joint is at home
+    promises: dict[str, Promise]
 
 
 def make_certificate(
-    world: World, units: np.ndarray, count: int, rng: np.random.Generator, pool: Pool, store: RowStore
+    world: World, samples: int, seeds: list[int], rng: np.random.Generator, pool: Pool, store: RowStore
 ) -> Certificate:
-    """The certificate, with the tracking error measured on `count` postures; see `certify`."""
-    lower, upper, speed = (v[:ARM_JOINTS] for v in controller_limits(PickPlaceStation(world, camera=False)))
-    home = world.initial_posture[:ARM_JOINTS]
-    lyapunov, eye = Lyapunov.of(world, units), np.eye(ARM_JOINTS)
-    levels = {
-        "joint_limits": lyapunov.level_within(eye, np.minimum(upper - home, home - lower)),
-        "step_limits": lyapunov.level_within(lyapunov.gain, speed * world.timing.period),
-    }
-    at_home = lyapunov.level_within(eye, np.full(ARM_JOINTS, HOME_TOLERANCE))
-    samples = sample_postures(world, lyapunov, min(levels.values()), count, rng)
-    etas, starts = [], []
-    for trajectory in trajectories_home(world, samples, pool, store, "tracking error"):
-        if trajectory.touches is None and trajectory.broke_off is None:  # the servo's error, not that of an arm held up
-            values = lyapunov.value(trajectory.rows - home)
-            above = values[:-1] > FLOOR * at_home
-            etas.append(float(np.max(lyapunov.relative_error(trajectory.rows, home)[above], initial=0.0)))
-            starts.append(float(values[0]))
-    if not etas:
-        raise InputError(
-            f"each of {count} straight paths home to measure the tracking error on touches something: "
-            "raise --samples, or clear the scene"
-        )
-    levels["servo"] = lyapunov.servo_level(starts, etas)
-    eta = max((e for e, v in zip(etas, starts, strict=True) if v < min(levels.values())), default=0.0)
-    return Certificate(lyapunov, levels, at_home, SAFETY_FACTOR * eta, len(etas))
+    """The certificate, from `samples` postures on the box's border, drawn by `rng`, and the episodes of `seeds`.
+
+    See `certify`.
+    """
+    gauge = BoxGauge.of(world)
+    home, at_home = world.initial_posture[:ARM_JOINTS], gauge.level_within(HOME_TOLERANCE)
+
+    def measured(chosen: list[Sample], ideal: float, apart: bool) -> Promise:
+        ways = trajectories_home(world, chosen, pool, store, "calibration")
+        clear = [gauge.value(w.rows - home) for w in ways if w.clear]
+        return Promise.measured(clear, ideal, at_home, apart)
+
+    onsets, targets = drawn_samples(world, seeds, pool, store, "calibration")
+    drawn = measured(onsets + targets, 1.0 - gauge.gain, apart=False)  # no step of theirs is clamped
+    box = measured(box_samples(world, gauge, samples, rng, border=True), gauge.ideal_rate, apart=True)
+    return Certificate(gauge, at_home, {"box": box, "onsets": drawn, "targets": drawn})
 
 
 def certify(
-    world: World, units: np.ndarray, *, samples: int, outside: int, seed: int, pool: Pool, store: RowStore
-) -> tuple[dict, dict]:
+    world: World, *, samples: int, draws: int, seed: int, pool: Pool, store: RowStore
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """The certificate and its proof: the report, plain types, and what diagrams/drawing/return_certificate.py draws.
 
-    `units` (7,) rad: of the regulator's weights, the controller's scaling; `samples`, `outside`: postures simulated
-    inside and outside the certified set; `store`: see `trajectories_home`. Raises InputError where no straight path is
-    clear that the tracking error could be measured on.
+    `samples`: postures of the proof, uniform in the box; `draws`: episodes; `store`: see `trajectories_home`. Raises
+    InputError as `BoxGauge.of`, `Promise.measured` and `episode_seeds` do.
     """
-    # Three streams: what the certificate is made from must not be what it is tested on.
-    calibration, inner, outer = (np.random.default_rng([seed, stream]) for stream in range(3))
-    certificate = make_certificate(world, units, max(samples // 20, 10), calibration, pool, store)
-    lyapunov, level = certificate.lyapunov, certificate.level
-    home, period = world.initial_posture[:ARM_JOINTS], world.timing.period
-    hand = HandKinematics(home)
-    starts_in = sample_postures(world, lyapunov, level, samples, inner)
-    starts_out = sample_postures(world, lyapunov, level, outside, outer, (hand.lower, hand.upper))
-    inside = trajectories_home(world, starts_in, pool, store, "inside")
-    beyond = trajectories_home(world, starts_out, pool, store, "outside")
+    # What the certificate is made from must not be what it is tested on: two streams, and episodes of their own.
+    calibration, proof = (np.random.default_rng([seed, stream]) for stream in range(2))
+    fitted = max(samples // CALIBRATION_SHARE, LEAST_CALIBRATION["box"])
+    fitted_draws = max(draws // CALIBRATION_SHARE, LEAST_CALIBRATION["draws"])
+    seeds = episode_seeds("certificate", seed, fitted_draws + draws)
+    certificate = make_certificate(world, fitted, seeds[:fitted_draws], calibration, pool, store)
+    gauge, home, period = certificate.gauge, world.initial_posture[:ARM_JOINTS], world.timing.period
 
-    failed = np.array([trajectory.arrival(home) < 0 for trajectory in beyond], bool)
-    values = [lyapunov.value(trajectory.rows - home) for trajectory in inside]
-    report = {
-        "samples_inside": samples,
-        **_inside(certificate, inside, values, home, period),
-        "broke_off": [t.broke_off for t in (*inside, *beyond) if t.broke_off is not None],
-        "samples_outside": outside,
-        "failures_outside": int(failed.sum()),
-        "contraction_rate": certificate.rate,
-        "contraction_rate_ideal": lyapunov.rate,
-        "time_home_certified_s": certificate.ticks_home * period,
-        "v_tolerance": V_TOLERANCE * certificate.at_home,
-        "level": level,
-        "levels": certificate.levels,
-        "level_at_home": certificate.at_home,
-        "semi_axes_deg": np.rad2deg(np.sqrt(level * np.diag(np.linalg.inv(lyapunov.P)))).tolist(),
-        "tracking_error": {"eta": certificate.eta, "safety_factor": SAFETY_FACTOR, "postures": certificate.calibrated},
-        "S": lyapunov.P.tolist(),
-        "collision_share": _shares(inside),
-        "collision_share_outside": _shares(beyond),
+    onsets, targets = drawn_samples(world, seeds[fitted_draws:], pool, store, "draws")
+    starts = {"box": box_samples(world, gauge, samples, proof), "onsets": onsets, "targets": targets}
+    levels = {kind: gauge.value(np.array([s.joints for s in starts[kind]]) - home) for kind in KINDS}
+    inside = {kind: [s for s, v in zip(starts[kind], levels[kind], strict=True) if v <= 1.0] for kind in KINDS}
+    ways: dict[str, list[Trajectory]] = {
+        kind: trajectories_home(world, chosen, pool, store, f"proof, {kind}") for kind, chosen in inside.items()
     }
-
-    def drawn(samples: list[Sample], trajectories: list[Trajectory]) -> dict:
-        hands = [hand.grasp_position(sample.joints) for sample in samples]
-        return {"hands": np.reshape(hands, (-1, 3)), "touches": [t.touches for t in trajectories]}
-
+    values = {kind: [gauge.value(way.rows - home) for way in ways[kind]] for kind in KINDS}
+    promises, at_home = certificate.promises, certificate.at_home
+    sets = {
+        kind: judge(inside[kind], ways[kind], values[kind], promises[kind], at_home, home, period) for kind in KINDS
+    }
+    report = {
+        **total(sets),
+        "draws": draws,
+        "coverage_onsets": float(np.mean(levels["onsets"] <= 1.0)),
+        "coverage_targets": float(np.mean(levels["targets"] <= 1.0)),
+        "sets": sets,
+        "contraction_rate_ideal": {"unclamped": 1.0 - gauge.gain, "box": gauge.ideal_rate},
+        "safety_factor": SAFETY_FACTOR,
+        "level_at_home": at_home,
+        "core_deg": float(np.rad2deg(gauge.core)),
+        "reach_deg": {"down": np.rad2deg(gauge.down).tolist(), "up": np.rad2deg(gauge.up).tolist()},
+        "delay_margin_ticks": delay_margin(gauge.gain),
+        "delay_margin_measured_ticks": measured_delay_margin(world, delay_margin(gauge.gain)),
+    }
+    clear = {kind: [v for v, w in zip(values[kind], ways[kind], strict=True) if w.clear] for kind in KINDS}
     picture = {
-        "values": values, "level": level, "rate": certificate.rate, "at_home": certificate.at_home,
-        "period": period, "home": hand.grasp_position(home), "grid": world.grid.bounds,
-        "inside": drawn(starts_in, inside), "outside": drawn(starts_out, beyond) | {"failed": failed},
+        "values": clear, "levels": levels, "at_home": at_home, "period": period,
+        "promises": {kind: promise.bound(200) for kind, promise in promises.items()},
     }  # fmt: skip
     return report, picture
 
 
-def _inside(
-    certificate: Certificate, trajectories: list[Trajectory], values: list[np.ndarray], home: np.ndarray, period: float
-) -> dict:
-    """What the trajectories from inside the set did; `values`: V along each of them."""
-    arrivals = np.array([trajectory.arrival(home) for trajectory in trajectories])
-    clear = np.array([trajectory.touches is None for trajectory in trajectories])
-    floor = FLOOR * certificate.at_home
-    rates = np.array([np.max(v[1:][v[:-1] > floor] / v[:-1][v[:-1] > floor], initial=0.0) for v in values])
-    found = arrivals[arrivals >= 0]
-    home_s = {"median": float(np.median(found) * period), "max": float(found.max() * period)} if len(found) else None
-    return {
-        "failures_inside": int(np.sum(arrivals < 0)),
-        "later_than_certified": int(np.sum((arrivals < 0) | (arrivals > certificate.ticks_home))),
-        "contraction_rate_measured": float(rates.max()),
-        "contraction_rate_measured_clear": float(rates[clear].max(initial=0.0)),
-        "time_home_measured_s": home_s,
-        "max_v_increase": float(max(np.max(np.diff(v), initial=-np.inf) for v in values)),
-    }
-
-
-def holds(report: dict) -> bool:
-    """Whether the measurement bears the certificate out; the rate on clear paths, as it does not cover contact."""
-    return (
-        report["failures_inside"] == 0
-        and report["later_than_certified"] == 0
-        and report["max_v_increase"] <= report["v_tolerance"]
-        and report["contraction_rate_measured_clear"] <= report["contraction_rate"]
-    )
-
-
-def _shares(trajectories: list[Trajectory]) -> dict[str, float]:
-    """Share of the straight paths home that touch something, by what is touched first."""
-    names = Counter(t.touches for t in trajectories if t.touches is not None)
-    total = max(len(trajectories), 1)
-    return {"any": names.total() / total} | {name: names[name] / total for name in sorted(names)}
+def _words(found: dict[str, Any]) -> str:
+    """The report in a few lines."""
+    lines = [
+        f"inside the box: {found['coverage_onsets']:.1%} of the onset postures, {found['coverage_targets']:.1%} of A's "
+        f"targets, of {found['draws']} episodes",
+        f"{found['failures_inside']} of {found['samples_inside']} fail to come home (95 % bound "
+        f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something",
+    ]
+    for kind, found_here in found["sets"].items():
+        clear = found_here["clear"]
+        lines.append(
+            f"{kind}: of {clear['samples']} clear ways {clear['failures']} fail, {clear['left_box']} leave the box, "
+            f"{clear['later_than_certified']} come later than certified ({found_here['time_home_certified_s']:.1f} s); "
+            f"V shrinks by {clear['contraction_first_measured']:.4f} in the first tick (certified "
+            f"{found_here['contraction_first']:.4f}), then {clear['contraction_rate_measured']:.4f} (certified "
+            f"{found_here['contraction_rate']:.4f})"
+        )
+    lines.append(f"delay margin {found['delay_margin_ticks']} ticks, measured {found['delay_margin_measured_ticks']}")
+    return "\n".join(lines)

@@ -6,26 +6,14 @@ import numpy as np
 
 from diagrams.episodes.pool import Pool, kept_in_thread
 from diagrams.episodes.store import RowStore
-from diagrams.hybrid.lyapunov import Lyapunov
 from diagrams.hybrid.return_loop import ReturnLoop
+from diagrams.hybrid.return_samples import Sample
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
-from diagrams.world.names import ARM_JOINTS, SPOTS
+from diagrams.world.names import CAN_HALF_HEIGHT
 from diagrams.world.task import at_home
 
-
-@dataclass(frozen=True)
-class Sample:
-    """A posture at rest in a scene, from which the arm is brought home."""
-
-    joints: np.ndarray  # (7,) rad
-    can_xy: np.ndarray  # (2,) m, world
-    vacant: str
-
-    @property
-    def key(self) -> str:
-        """Of its row in the store."""
-        return f"{self.joints.tolist()} {self.can_xy.tolist()} {self.vacant}"
+DROPPED = CAN_HALF_HEIGHT  # m: a can that slipped by more is not in the hand any longer
 
 
 @dataclass(frozen=True)
@@ -33,7 +21,9 @@ class Trajectory:
     """What came of a sample."""
 
     rows: np.ndarray  # (n, 7) joint angles at the ticks, rad
-    touches: str | None  # the model that the straight path home touches (nearer than 1 cm)
+    nearest: float  # m: smallest distance of arm and held can to anything on that way; 0.01 where it is larger
+    touches: str | None  # to which model, if it is nearer than 0.01
+    slip: float | None = None  # of the held can in the hand, m; None: there is none
     broke_off: str | None = None  # why the simulation broke off
 
     def arrival(self, home: np.ndarray) -> int:
@@ -41,50 +31,26 @@ class Trajectory:
         there = at_home(self.rows, home)
         return int(np.argmax(there)) if there.any() and self.broke_off is None else -1
 
+    @property
+    def clear(self) -> bool:
+        """Whether the way is known to its end, and came near to nothing."""
+        return self.touches is None and self.broke_off is None
 
-def sample_postures(
-    world: World,
-    lyapunov: Lyapunov,
-    level: float,
-    count: int,
-    rng: np.random.Generator,
-    outside: tuple[np.ndarray, np.ndarray] | None = None,
-) -> list[Sample]:
-    """`count` samples inside the level set, or (uniform within the limits `outside`, (7,) each, rad) outside of it.
-
-    A posture in which the arm is inside the desk, the shelf or a can is none: it is sampled again.
-    """
-    from tqdm import tqdm
-
-    checker, home = CollisionChecker(gap=0.0), world.initial_posture[:ARM_JOINTS]
-    corner, opposite = world.grid.bounds
-    samples: list[Sample] = []
-    title = f"sample {'inside' if outside is None else 'outside'}"
-    with tqdm(total=count, desc=title, leave=False, disable=None) as bar:
-        while len(samples) < count:
-            if outside is None:
-                joints = home + lyapunov.sample_inside(rng, level, 1)[0]
-            else:
-                joints = rng.uniform(*outside)
-                if lyapunov.value(joints - home) <= level:
-                    continue
-            sample = Sample(joints, rng.uniform(corner, opposite), str(rng.choice(SPOTS)))
-            checker.set_scene(sample.can_xy, sample.vacant)
-            if checker.first_touch(joints) is None:
-                samples.append(sample)
-                bar.update()
-    return samples
+    @property
+    def dropped(self) -> bool:
+        """Whether the can is not in the hand any longer."""
+        return self.slip is not None and self.slip > DROPPED
 
 
 def run_job(job: tuple[World, Sample]) -> Trajectory:
     """The trajectory of a sample; the diagram is built once in a process."""
     world, sample = job
     loop = kept_in_thread(("return loop", repr(world)), lambda: ReturnLoop(world))
-    checker = kept_in_thread("checker", CollisionChecker)
-    checker.set_scene(sample.can_xy, sample.vacant)
-    touches = checker.path_touches(sample.joints, world.initial_posture[:ARM_JOINTS])
-    rows, broke_off = loop.run(sample.joints, sample.can_xy, sample.vacant)
-    return Trajectory(rows, touches, broke_off)
+    checker = kept_in_thread("checker of ways home", lambda: CollisionChecker(rigid_grasp=True))
+    can_xy = np.array(sample.can_xy)
+    rows, slip, broke_off = loop.run(np.array(sample.joints), can_xy, sample.vacant, sample.held)
+    checker.set_scene(None if sample.held else can_xy, sample.vacant, world.opening)
+    return Trajectory(rows, *checker.nearest_on(rows), slip, broke_off)
 
 
 def trajectories_home(world: World, samples: list[Sample], pool: Pool, store: RowStore, title: str) -> list[Trajectory]:
@@ -95,6 +61,6 @@ def trajectories_home(world: World, samples: list[Sample], pool: Pool, store: Ro
     known = len(samples) - len(missing)
     with tqdm(total=len(samples), initial=known, desc=title, unit="posture", disable=None) as bar:
         for (_, sample), found in pool.run(run_job, missing):
-            store.add(sample.key, [found.rows.tolist(), found.touches, found.broke_off])
+            store.add(sample.key, [found.rows.tolist(), found.nearest, found.touches, found.slip, found.broke_off])
             bar.update()
-    return [Trajectory(np.array(rows), *words) for rows, *words in (store.rows[sample.key] for sample in samples)]
+    return [Trajectory(np.array(rows), *others) for rows, *others in (store.rows[sample.key] for sample in samples)]

@@ -77,20 +77,18 @@ def test_falsification(drawn):
 
 
 def test_certificate(drawn):
+    falls = 0.9 ** np.arange(60)
     data = {
-        "values": [np.array([1.0, 0.8, 0.5]), np.array([0.9, 0.6])], "level": 2.0, "rate": 0.9,
+        "values": {"box": [np.array([1.0, 0.8, 0.5]), np.array([0.9, 0.6])], "onsets": [], "targets": [falls[5:]]},
+        "levels": {"box": np.array([1.0, 0.9]), "onsets": np.zeros(0), "targets": np.array([0.3, 0.3, 1.2, 0.59])},
+        "promises": {"box": falls, "onsets": 0.5 ** np.arange(60), "targets": 0.5 ** np.arange(60)},
         "at_home": 0.1, "period": 0.1,
-        "home": np.zeros(3), "grid": (np.array([0.4, -0.1]), np.array([0.6, 0.1])),
-        "inside": {"hands": np.eye(3), "touches": [None, "desk", None]},
-        "outside": {"hands": np.ones((1, 3)), "touches": ["shelf"], "failed": np.array([True])},
     }  # fmt: skip
-    words, (left, above, side) = drawn(return_certificate, "save_certificate", data)
-    for word in ("trajectories home from 2 postures", "inside, clear (2)", "inside, path touches desk (1)",
-                 "outside, path touches shelf (1)", "outside, fails (1)"):  # fmt: skip
+    words, (left, middle, right) = drawn(return_certificate, "save_certificate", data)
+    for word in ("uniform in the box: median and range of 2", "targets of disturbance A (4)", "border of the box"):
         assert word in words
-    assert left.lines[0].get_ydata() == pytest.approx([0.475, 0.35, 0.25])  # the median
-    assert left.lines[1].get_ydata() == pytest.approx([1.0, 0.9, 0.81])  # certified
-    assert side.lines[1].get_xydata().tolist() == [[1.0, 0.0], [0.0, 1.0]]
-    assert above.lines[1].get_xydata().tolist() == [[1.0, 0.0], [0.0, 0.0]]
-    nothing = {"hands": np.zeros((0, 3)), "touches": [], "failed": np.zeros(0, bool)}
-    assert "outside, fails (0)" in drawn(return_certificate, "save_certificate", data | {"outside": nothing})[0]
+    assert left.lines[0].get_ydata() == pytest.approx([0.95, 0.7, 0.55])  # the median; a way that ended stays
+    assert left.lines[1].get_ydata()[:3] == pytest.approx([1.0, 0.9, 0.81])  # certified
+    assert middle.lines[0].get_ydata() == pytest.approx(falls[5:])
+    assert middle.lines[1].get_ydata()[:3] == pytest.approx([1.0, 0.5, 0.25])
+    assert right.get_xlim()[1] > 1.2  # one that lies outside is seen

@@ -213,3 +213,14 @@ def test_long_paths_are_looked_at_every_degree(world, monkeypatch):
     seen.clear()
     checker.path_touches(home, home + np.deg2rad(5.0))
     assert len(seen) == 24
+
+
+def test_the_onset_is_on_the_teachers_way(sampler, world, hand):
+    for seed in range(4):
+        episode = sampler.sample(seed, "A")
+        given, joints = episode.disturbance, sampler.onset_posture(episode)
+        offset = np.abs(np.array(given.target) - joints)
+        assert np.sum(offset > np.deg2rad(14.9)) == np.sum(offset > 1e-9)  # from there the arm is deflected
+        if given.subtask == 1:
+            goal = [*episode.can_xy, CAN_HALF_HEIGHT]
+            assert np.linalg.norm(hand.grasp_position(joints) - goal) == pytest.approx(given.level, abs=0.02)

@@ -1,0 +1,64 @@
+"""What is promised of V on ways home: rates that the servo's error is measured into, with a safety factor."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from models.errors import InputError
+
+SAFETY_FACTOR = 1.5  # on what the servo adds to the ideal rate
+
+
+def contractions(values: np.ndarray, at_home: float) -> tuple[np.ndarray, np.ndarray]:
+    """V[k+1] / V[k] along a way home, as long as V is above `at_home`: of the first tick, (0 or 1,), and of the others.
+
+    `values`: V at the ticks.
+    """
+    ratios = values[1:] / np.where(values[:-1] > at_home, values[:-1], np.inf)
+    counted = values[:-1] > at_home
+    return ratios[:1][counted[:1]], ratios[1:][counted[1:]]
+
+
+@dataclass(frozen=True)
+class Promise:
+    """How V falls from the postures of one set: by the factor `first` in the first tick, then by `later`, at least."""
+
+    first: float
+    later: float
+    calibrated: int  # clear ways that it was measured on
+
+    @classmethod
+    def measured(cls, values: Sequence[np.ndarray], ideal: float, at_home: float, apart: bool) -> Self:
+        """The ideal rate plus SAFETY_FACTOR times the largest excess over it, as long as V is above `at_home`.
+
+        `values`: V at the ticks of each clear way; `apart`: not of their first ticks, for which the promise is 1, that
+        V does not rise: where far joints start together their torques hold a near one back, by how much has a long
+        tail. Raises InputError where no way is clear, and where nothing is left of the contraction.
+        """
+        firsts, laters = zip(*(contractions(v, at_home) for v in values), strict=True) if values else ((), ())
+        if not any(map(len, firsts)):
+            raise InputError(
+                "none of the ways home to measure the rate on is clear: raise --samples and --draws, or clear the scene"
+            )
+
+        def rate(parts: Sequence[np.ndarray]) -> float:
+            largest = max(float(np.max(r, initial=0.0)) for r in parts)
+            return ideal + SAFETY_FACTOR * max(largest - ideal, 0.0)
+
+        later = rate(laters) if apart else max(rate(firsts), rate(laters))
+        if later >= 1.0:
+            raise InputError(
+                f"the servo follows so badly that V would shrink by {later:.3f} a tick only: choose stiffer "
+                "world.servo gains, or a larger world.regulator.input_weight"
+            )
+        return cls(1.0 if apart else later, later, len(values))
+
+    def bound(self, ticks: int) -> np.ndarray:
+        """(ticks + 1,) V at most after each tick, from 1."""
+        return np.append(1.0, self.first * self.later ** np.arange(ticks))
+
+    def ticks_home(self, at_home: float) -> int:
+        """After which V is at most `at_home`, from 1."""
+        return 1 + max(0, int(np.ceil(np.log(at_home / self.first) / np.log(self.later))))

@@ -1,0 +1,46 @@
+"""What is promised of V: hand-worked rates, bounds and times."""
+
+import numpy as np
+import pytest
+
+from diagrams.hybrid.return_promise import Promise, contractions
+from models.errors import InputError
+
+WAYS = [np.array([1.0, 0.95, 0.874, 0.01, 0.0099]), np.array([0.5, 0.45, 0.40995])]
+
+
+def test_contractions_by_hand():
+    first, later = contractions(WAYS[0], 0.011)
+    assert first == pytest.approx([0.95])
+    assert later == pytest.approx([0.92, 0.01 / 0.874])  # at home nothing is promised
+    first, later = contractions(np.array([0.01, 0.01]), 0.011)
+    assert len(first) == len(later) == 0
+
+
+def test_rates_by_hand():
+    apart = Promise.measured(WAYS, 0.9, 0.011, apart=True)
+    # Half as much again as the excess of 0.02; with the first ticks, of 0.05.
+    assert (apart.first, apart.later) == (1.0, pytest.approx(0.93))
+    together = Promise.measured(WAYS, 0.9, 0.011, apart=False)
+    assert (together.first, together.later) == (pytest.approx(0.975), pytest.approx(0.975))
+    assert apart.calibrated == 2
+    ideal = Promise.measured(WAYS, 0.99, 0.011, apart=True)
+    assert ideal.later == 0.99
+
+
+def test_times_by_hand():
+    promise = Promise(0.95, 0.9, 2)
+    assert promise.bound(2) == pytest.approx([1.0, 0.95, 0.855])
+    assert promise.ticks_home(0.86) == 2
+    assert promise.ticks_home(0.96) == 1
+    for level in (0.5, 0.01):
+        ticks = promise.ticks_home(level)
+        assert promise.bound(ticks)[ticks] <= level < promise.bound(ticks)[ticks - 1]
+
+
+def test_where_nothing_can_be_promised():
+    for ways in ([], [np.array([0.001])]):
+        with pytest.raises(InputError, match=r"none of the ways home .* is clear: raise --samples"):
+            Promise.measured(ways, 0.9, 0.011, apart=True)
+    with pytest.raises(InputError, match=r"V would shrink by 1\.035 a tick only: choose stiffer world\.servo"):
+        Promise.measured([np.array([1.0, 0.9, 0.891])], 0.9, 0.011, apart=True)

@@ -1,0 +1,71 @@
+"""What ways home say about a promise: counts and bounds from ways made by hand."""
+
+import numpy as np
+import pytest
+
+from diagrams.hybrid.return_promise import Promise
+from diagrams.hybrid.return_proof import bound, holds, judge, total
+from diagrams.hybrid.return_samples import Sample
+from diagrams.hybrid.return_trajectories import Trajectory
+
+HOME = np.zeros(7)
+AT_HOME = 0.01
+PROMISE = Promise(0.5, 0.5, 3)  # home after 7 ticks
+
+
+def way(ticks, touches=None, slip=None, to=0.0):
+    """A joint that is at home after so many ticks; V falls by half a tick."""
+    values = np.append(0.5 ** np.arange(ticks), to)
+    rows = np.outer(np.append(np.ones(ticks), to), np.ones(7))
+    return Sample((1.0,) * 7, (0.5, 0.0), "left", slip is not None), Trajectory(
+        rows, 0.002 if touches else 0.01, touches, slip
+    ), values  # fmt: skip
+
+
+def report(*ways):
+    return judge(*zip(*ways, strict=True), PROMISE, AT_HOME, HOME, 0.1)
+
+
+def test_bounds_by_hand():
+    assert bound(0, 10_000) == pytest.approx(1 - 0.05 ** (1 / 10_000))
+    assert bound(0, 1) == pytest.approx(0.95)
+    assert bound(0, 0) == 1.0
+    assert bound(1, 1) == 1.0
+    assert 0.3 < bound(1, 10) < 0.4  # Clopper-Pearson: 0.394
+
+
+def test_ways_are_counted():
+    found = report(way(6), way(7, slip=0.2), way(9, "desk"), way(3, "shelf", 0.01, to=1.0))
+    assert (found["all"]["samples"], found["all"]["failures"], found["all"]["later_than_certified"]) == (4, 1, 2)
+    assert (found["clear"]["samples"], found["clear"]["failures"], found["clear"]["later_than_certified"]) == (2, 0, 0)
+    assert found["all"]["bound"] == bound(1, 4)
+    assert found["touches"] == {"desk": 1, "shelf": 1}
+    assert (found["nearest_distance_m"], found["held"], found["dropped"], found["dropped_clear"]) == (0.002, 2, 1, 1)
+    assert found["time_home_certified_s"] == pytest.approx(0.7)
+    assert found["time_home_measured_s"] == {"median": pytest.approx(0.7), "max": pytest.approx(0.9)}
+    sets = {"box": found, "onsets": report(way(5))}
+    whole = total(sets)
+    assert (whole["samples_inside"], whole["failures_inside"], whole["touches_inside"]) == (5, 1, 2)
+    assert (whole["samples_clear"], whole["failures_clear"], whole["nearest_distance_m"]) == (3, 0, 0.002)
+    assert whole["bound_inside"] == bound(1, 5)
+    assert holds({"sets": sets})  # contact is not covered
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"failures": 1}, {"left_box": 1}, {"later_than_certified": 1}, {"max_v_increase": 1e-4},
+        {"contraction_first_measured": 0.51}, {"contraction_rate_measured": 0.51},
+    ],
+)  # fmt: skip
+def test_what_is_not_borne_out_does_not_hold(broken):
+    found = report(way(6))
+    assert holds({"sets": {"box": found}})
+    assert not holds({"sets": {"box": found | {"clear": found["clear"] | broken}}})
+
+
+def test_leaving_the_box_is_seen():
+    sample, trajectory, _ = way(4)
+    found = report((sample, trajectory, np.array([0.99, 1.01, 0.5, 0.2, 0.0])))
+    assert found["all"]["left_box"] == 1
+    assert found["all"]["max_v_increase"] == pytest.approx(0.02)
