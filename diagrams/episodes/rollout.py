@@ -17,13 +17,12 @@ from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
-from diagrams.world.clearance_map import ClearanceMap
+from diagrams.world.clearance_map import clearance_filter
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import TIME_LIMIT, TaskMonitor, lifted
 from models.errors import InputError
-from systems.clearance_filter import ClearanceFilter
 from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
 from systems.switched_controller import SwitchedController
@@ -95,8 +94,9 @@ class Rollout:
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
         builder.Connect(station.GetOutputPort("rgb_image"), controller.GetInputPort("rgb_image"))
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
-        self.filter, command = self._way_home(builder, lower, upper, speed), controller.GetOutputPort("desired_posture")
+        self.filter, command = clearance_filter(world, station), controller.GetOutputPort("desired_posture")
         if self.filter is not None:
+            builder.AddNamedSystem("clearance_filter", self.filter)
             for port in ("posture", "alpha", "desired_posture"):
                 source = "measured_posture" if port == "posture" else port
                 builder.Connect(controller.GetOutputPort(source), self.filter.GetInputPort(port))
@@ -139,26 +139,6 @@ class Rollout:
         self.diagram = builder.Build()
         self.diagram.set_name("pick_place")
         self.simulator = Simulator(self.diagram)
-
-    def _way_home(self, builder, lower, upper, speed) -> ClearanceFilter | None:
-        """The filter that `world.clearance` asks for."""
-        given = self.world.clearance
-        if given.cans == "unseen":
-            return None
-        return builder.AddNamedSystem(
-            "clearance_filter",
-            ClearanceFilter(
-                ClearanceMap(self.world, possible=given.cans == "possible"),
-                posture_size=len(lower),
-                joints=ARM_JOINTS,
-                lower=lower,
-                upper=upper,
-                max_step=(speed * self.world.timing.period)[:ARM_JOINTS],
-                gap=given.gap,
-                least=given.least,
-                rate=given.rate,
-            ),
-        )
 
     def create_context(self, episode: Episode, calibration: Calibration | None = None) -> Context:
         """A fresh Context of `diagram` for `episode`, at time 0; `calibration` instead of the constructor's."""

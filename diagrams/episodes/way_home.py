@@ -14,7 +14,8 @@ IN_HAND = 0.03  # m: a can nearer than that to the grasp frame is between the fi
 class WayHome:
     """The smallest distance between arm, hand and held can on one side, and desk, shelf and cans on the other."""
 
-    def __init__(self, station: PickPlaceStation):
+    def __init__(self, station: PickPlaceStation, own: bool = False):
+        """`own`: the can to pick is the arm's own, whatever becomes of it: nothing that it could touch."""
         self._station, plant = station, station.plant
         self._can = plant.GetBodyByName("can", plant.GetModelInstanceByName(CANS[0]))
         self._grasp = plant.GetFrameByName("grasp")
@@ -23,6 +24,7 @@ class WayHome:
         for shape in inspector.GetAllGeometryIds(Role.kProximity):
             body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
             self._owner[shape] = plant.GetModelInstanceName(body.model_instance())
+        self._rest = {"desk", "shelf", *CANS[own:]}
         self.nearest: float | None = None  # m, at most WITHIN; negative: so deep in each other; None: nothing seen yet
         self.name: str | None = None  # the model that was that near
 
@@ -31,7 +33,7 @@ class WayHome:
         station, arm = self._station, {"arm", "gripper"}
         context = station.plant.GetMyContextFromRoot(root)
         grasp, can = self._grasp.CalcPoseInWorld(context), station.plant.EvalBodyPoseInWorld(context, self._can)
-        rest = {"desk", "shelf", *CANS}
+        rest = set(self._rest)
         if np.linalg.norm(grasp.translation() - can.translation()) < IN_HAND:
             rest.discard(CANS[0])
             if closed:

@@ -21,10 +21,11 @@ from diagrams.episodes.store import RowStore
 from diagrams.hybrid.box_gauge import BoxGauge
 from diagrams.hybrid.common import Arguments
 from diagrams.hybrid.delay_margin import delay_margin, measured_delay_margin
+from diagrams.hybrid.return_loop import Trajectory
 from diagrams.hybrid.return_promise import SAFETY_FACTOR, Promise
 from diagrams.hybrid.return_proof import KINDS, holds, judge, total
 from diagrams.hybrid.return_samples import Sample, box_samples, drawn_samples
-from diagrams.hybrid.return_trajectories import Trajectory, trajectories_home
+from diagrams.hybrid.return_trajectories import trajectories_home
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.task import HOME_TOLERANCE
@@ -80,7 +81,7 @@ def make_certificate(
 
     def measured(chosen: list[Sample], ideal: float, apart: bool) -> Promise:
         ways = trajectories_home(world, chosen, pool, store, "calibration")
-        clear = [gauge.value(w.rows - home) for w in ways if w.clear]
+        clear = [gauge.value(w.rows - home) for w in ways if w.free]
         return Promise.measured(clear, ideal, at_home, apart)
 
     onsets, targets = drawn_samples(world, seeds, pool, store, "calibration")
@@ -131,7 +132,7 @@ def certify(
         "delay_margin_ticks": delay_margin(gauge.gain),
         "delay_margin_measured_ticks": measured_delay_margin(world, delay_margin(gauge.gain)),
     }
-    clear = {kind: [v for v, w in zip(values[kind], ways[kind], strict=True) if w.clear] for kind in KINDS}
+    clear = {kind: [v for v, w in zip(values[kind], ways[kind], strict=True) if w.free] for kind in KINDS}
     picture = {
         "values": clear, "levels": levels, "at_home": at_home, "period": period,
         "promises": {kind: promise.bound(200) for kind, promise in promises.items()},
@@ -148,12 +149,12 @@ def _words(found: dict[str, Any]) -> str:
         f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something",
     ]
     for kind, found_here in found["sets"].items():
-        clear = found_here["clear"]
+        free = found_here["free"]
         lines.append(
-            f"{kind}: of {clear['samples']} clear ways {clear['failures']} fail, {clear['left_box']} leave the box, "
-            f"{clear['later_than_certified']} come later than certified ({found_here['time_home_certified_s']:.1f} s); "
-            f"V shrinks by {clear['contraction_first_measured']:.4f} in the first tick (certified "
-            f"{found_here['contraction_first']:.4f}), then {clear['contraction_rate_measured']:.4f} (certified "
+            f"{kind}: of {free['samples']} free ways {free['failures']} fail, {free['left_box']} leave the box, "
+            f"{free['later_than_certified']} come later than certified ({found_here['time_home_certified_s']:.1f} s); "
+            f"V shrinks by {free['contraction_first_measured']:.4f} in the first tick (certified "
+            f"{found_here['contraction_first']:.4f}), then {free['contraction_rate_measured']:.4f} (certified "
             f"{found_here['contraction_rate']:.4f})"
         )
     lines.append(f"delay margin {found['delay_margin_ticks']} ticks, measured {found['delay_margin_measured_ticks']}")

@@ -1,22 +1,27 @@
 """The closed loop in mode `return` on the full plant: servo, effort limits, gravity, contact; no camera, no network."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource
 
-from diagrams.world.collisions import X_GRASP_CAN
+from diagrams.episodes.way_home import WayHome
+from diagrams.world.clearance_map import clearance_filter
 from diagrams.world.configuration import World
-from diagrams.world.names import ARM_JOINTS, CANS
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
 from diagrams.world.station import PickPlaceStation, can_body, controller_limits
 from diagrams.world.task import at_home
+from diagrams.world.trajectory import X_GRASP_CAN
 from models.data.scaling import MinMaxScaling
 from systems.posture_history import PostureHistory
 from systems.regulated_mixer import RegulatedMixer
 
 TIME_LIMIT = 10.0  # s: an arm that is not at home by then has failed
 GRASPED_GAP = 0.0464  # m: of the fingers at which they stall on the can, as measured on the plant
+DROPPED = CAN_HALF_HEIGHT  # m: a can that slipped by more is not in the hand any longer
 TICKS_AT_HOME = 5  # simulated beyond the arrival, for V
 
 
@@ -42,8 +47,40 @@ def regulated_mixer(world: World, station: PickPlaceStation, scaling: MinMaxScal
     )
 
 
+@dataclass(frozen=True)
+class Trajectory:
+    """A way home."""
+
+    rows: np.ndarray  # (n, 7) joint angles at the ticks, rad
+    nearest: float | None  # m: smallest distance of arm and held can to anything at any step of the plant, see WayHome
+    name: str | None  # the model that was that near
+    filtered: int  # ticks in which the filter changed the step
+    slip: float | None = None  # of the held can in the hand, m; None: there is none
+    broke_off: str | None = None  # what Drake said where the simulation diverged
+
+    def arrival(self, home: np.ndarray) -> int:
+        """First tick at which every joint is at `home` (7, rad); -1 without one, or where the simulation broke off."""
+        there = at_home(self.rows, home)
+        return int(np.argmax(there)) if there.any() and self.broke_off is None else -1
+
+    @property
+    def touches(self) -> bool:
+        """Whether arm or held can touched something."""
+        return self.nearest is not None and self.nearest <= 0.0
+
+    @property
+    def free(self) -> bool:
+        """Whether it is the LQR's alone, and known to its end: the filter changed nothing, nothing was touched."""
+        return not self.filtered and not self.touches and self.broke_off is None
+
+    @property
+    def dropped(self) -> bool:
+        """Whether the can is not in the hand any longer."""
+        return self.slip is not None and self.slip > DROPPED
+
+
 class ReturnLoop:
-    """Station, PostureHistory and RegulatedMixer under alpha = 1."""
+    """Station, PostureHistory, RegulatedMixer under alpha = 1 and the filter that `world.clearance` asks for."""
 
     def __init__(self, world: World):
         self.world = world
@@ -59,37 +96,48 @@ class ReturnLoop:
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say
             builder.Connect(history.GetOutputPort("posture"), mixer.GetInputPort(port))
         builder.Connect(alpha.get_output_port(), mixer.GetInputPort("alpha"))
-        builder.Connect(mixer.GetOutputPort("desired_posture"), self.station.GetInputPort("desired_posture"))
+        self._desired = self._command = mixer.GetOutputPort("desired_posture")
+        self.filter = clearance_filter(world, self.station)
+        if self.filter is not None:
+            builder.AddNamedSystem("clearance_filter", self.filter)
+            for source, name in ((history, "posture"), (mixer, "desired_posture")):
+                builder.Connect(source.GetOutputPort(name), self.filter.GetInputPort(name))
+            builder.Connect(alpha.get_output_port(), self.filter.GetInputPort("alpha"))
+            if self.filter.HasInputPort("obstacles"):
+                builder.Connect(self.station.GetOutputPort("can_poses"), self.filter.GetInputPort("obstacles"))
+            self._command = self.filter.GetOutputPort("filtered_posture")
+        builder.Connect(self._command, self.station.GetInputPort("desired_posture"))
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
 
-    def run(
-        self, joints: np.ndarray, can_xy: np.ndarray, vacant: str, held: bool = False
-    ) -> tuple[np.ndarray, float | None, str | None]:
+    def run(self, joints: np.ndarray, can_xy: np.ndarray, vacant: str, held: bool = False) -> Trajectory:
         """Runs home from rest at `joints` (7, rad), until a little after the arrival, or to the time limit.
 
         `can_xy` (2, m): where the can stands, unless it is `held`: in the closed fingers.
-
-        Returns (n, 7) joint angles at the ticks, rad; how far the held can has slipped in the hand at the end, m, None
-        without one; and what Drake said where the simulation diverged, else None.
         """
         station, period = self.station, self.world.timing.period
         context = self._begin(joints, can_xy, vacant, held)
         local, port = station.GetMyContextFromRoot(context), station.GetOutputPort("posture")
-        home = self.world.initial_posture[:ARM_JOINTS]
-        rows, arrived = [np.array(joints, dtype=float)], 0
-        for k in range(1, round(TIME_LIMIT / period) + 1):
+        home, steps = self.world.initial_posture[:ARM_JOINTS], round(period / self.world.timing.time_step)
+        rows, arrived, way, filtered = [np.array(joints, dtype=float)], 0, WayHome(station, own=held), 0
+        for k in range(round(TIME_LIMIT / period)):
             try:
-                self.simulator.AdvanceTo(k * period)
+                for step in range(1, steps + 1):
+                    self.simulator.AdvanceTo((k + step / steps) * period)
+                    way.see(context, held)
             except RuntimeError as error:
                 if "non-finite" not in str(error):
                     raise
-                return np.array(rows), None, " ".join(str(error).split())
+                return Trajectory(np.array(rows), way.nearest, way.name, filtered, None, " ".join(str(error).split()))
+            filtered += not np.array_equal(self._value(context, self._command), self._value(context, self._desired))
             rows.append(port.Eval(local)[:ARM_JOINTS].copy())
             arrived += bool(at_home(rows[-1], home))
             if arrived > TICKS_AT_HOME:
                 break
-        return np.array(rows), self._slip(context) if held else None, None
+        return Trajectory(np.array(rows), way.nearest, way.name, filtered, self._slip(context) if held else None)
+
+    def _value(self, context: Context, port: OutputPort) -> np.ndarray:
+        return port.Eval(port.get_system().GetMyContextFromRoot(context))
 
     def _begin(self, joints: np.ndarray, can_xy: np.ndarray, vacant: str, held: bool) -> Context:
         """The Context at the start of a run, in the simulator."""

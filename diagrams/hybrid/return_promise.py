@@ -27,20 +27,21 @@ class Promise:
 
     first: float
     later: float
-    calibrated: int  # clear ways that it was measured on
+    calibrated: int  # free ways that it was measured on
 
     @classmethod
     def measured(cls, values: Sequence[np.ndarray], ideal: float, at_home: float, apart: bool) -> Self:
         """The ideal rate plus SAFETY_FACTOR times the largest excess over it, as long as V is above `at_home`.
 
-        `values`: V at the ticks of each clear way; `apart`: not of their first ticks, for which the promise is 1, that
+        `values`: V at the ticks of each free way; `apart`: not of their first ticks, for which the promise is 1, that
         V does not rise: where far joints start together their torques hold a near one back, by how much has a long
-        tail. Raises InputError where no way is clear, and where nothing is left of the contraction.
+        tail. Raises InputError where no way is free, and where nothing is left of the contraction.
         """
         firsts, laters = zip(*(contractions(v, at_home) for v in values), strict=True) if values else ((), ())
         if not any(map(len, firsts)):
             raise InputError(
-                "none of the ways home to measure the rate on is clear: raise --samples and --draws, or clear the scene"
+                "none of the ways home to measure the rate on is free, of contact and of the filter: "
+                "raise --samples and --draws"
             )
 
         def rate(parts: Sequence[np.ndarray]) -> float:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from diagrams.episodes.thresholds import share_above
+from diagrams.hybrid.return_loop import Trajectory
 from diagrams.hybrid.return_promise import Promise, contractions
 from diagrams.hybrid.return_samples import Sample
-from diagrams.hybrid.return_trajectories import Trajectory
 
 KINDS = ("box", "onsets", "targets")  # of postures
 V_TOLERANCE = 1e-3  # of the level at home: V may rise by that much from tick to tick
@@ -32,7 +32,7 @@ def judge(
     home: np.ndarray,
     period: float,
 ) -> dict[str, Any]:
-    """The report of one set of postures, plain types: of all of its ways, and of those that came near to nothing.
+    """The report of one set of postures, plain types: of all of its ways, and of those that are the LQR's alone.
 
     Args:
         samples, ways: the postures, and what came of them.
@@ -40,7 +40,7 @@ def judge(
         promise: that is judged; at_home: level of V within which every joint is at home.
         home: (7,) initial posture, rad; period: of the ticks, s.
     """
-    clear = np.array([way.clear for way in ways], bool)
+    free = np.array([way.free for way in ways], bool)
     held = np.array([sample.held for sample in samples], bool)
     dropped = np.array([way.dropped for way in ways], bool)
     arrivals = np.array([way.arrival(home) for way in ways], int)
@@ -62,7 +62,7 @@ def judge(
             "max_v_increase": float(max((np.max(np.diff(x), initial=-1.0) for x in v), default=-1.0)),
         }
 
-    touched = Counter(way.touches for way in ways if way.touches is not None)
+    touched = Counter(way.name for way in ways if way.touches)
     return {
         "contraction_first": promise.first,
         "contraction_rate": promise.later,
@@ -73,12 +73,13 @@ def judge(
         ),
         "v_tolerance": V_TOLERANCE * at_home,
         "all": counts(np.ones(len(ways), bool)),
-        "clear": counts(clear),
+        "free": counts(free),
         "touches": {name: touched[name] for name in sorted(touched)},
-        "nearest_distance_m": min((way.nearest for way in ways), default=None),
+        "nearest_distance_m": min((way.nearest for way in ways if way.nearest is not None), default=None),
         "held": int(held.sum()),
         "dropped": int(dropped.sum()),
-        "dropped_clear": int(np.sum(dropped & clear)),
+        "dropped_free": int(np.sum(dropped & free)),
+        "filtered": sum(bool(way.filtered) for way in ways),
         "broke_off": [way.broke_off for way in ways if way.broke_off is not None],
     }
 
@@ -86,7 +87,7 @@ def judge(
 def total(sets: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """What all sets say together; each posture is inside the box."""
     samples, failures = (sum(found["all"][name] for found in sets.values()) for name in ("samples", "failures"))
-    clear, failures_clear = (sum(found["clear"][name] for found in sets.values()) for name in ("samples", "failures"))
+    free, failures_free = (sum(found["free"][name] for found in sets.values()) for name in ("samples", "failures"))
     distances = [d for found in sets.values() if (d := found["nearest_distance_m"]) is not None]
     return {
         "samples_inside": samples,
@@ -95,20 +96,20 @@ def total(sets: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "left_box_inside": sum(found["all"]["left_box"] for found in sets.values()),
         "touches_inside": sum(sum(found["touches"].values()) for found in sets.values()),
         "nearest_distance_m": min(distances),
-        "samples_clear": clear,
-        "failures_clear": failures_clear,
-        "bound_clear": bound(failures_clear, clear),
+        "samples_free": free,
+        "failures_free": failures_free,
+        "bound_free": bound(failures_free, free),
     }
 
 
 def holds(report: dict[str, Any]) -> bool:
     """Whether the ways that come near to nothing bear the certificate out, in each set; it does not cover contact."""
     return all(
-        found["clear"]["failures"] == 0
-        and found["clear"]["left_box"] == 0
-        and found["clear"]["later_than_certified"] == 0
-        and found["clear"]["max_v_increase"] <= found["v_tolerance"]
-        and found["clear"]["contraction_first_measured"] <= found["contraction_first"]
-        and found["clear"]["contraction_rate_measured"] <= found["contraction_rate"]
+        found["free"]["failures"] == 0
+        and found["free"]["left_box"] == 0
+        and found["free"]["later_than_certified"] == 0
+        and found["free"]["max_v_increase"] <= found["v_tolerance"]
+        and found["free"]["contraction_first_measured"] <= found["contraction_first"]
+        and found["free"]["contraction_rate_measured"] <= found["contraction_rate"]
         for found in report["sets"].values()
     )

@@ -20,11 +20,10 @@ from pydrake.multibody.tree import BodyIndex, Frame, RigidBody, SpatialInertia
 from pydrake.planning import LinearDistanceAndInterpolationProvider, RobotDiagramBuilder, SceneGraphCollisionChecker
 
 from diagrams.world.configuration import World
-from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CAN_RADIUS, CANS, SPOTS
-from diagrams.world.station import add_models
-from diagrams.world.trajectory import GRASP_ABOVE_CENTRE
-from systems.clearance_filter import Near
+from diagrams.world.station import PickPlaceStation, add_models, controller_limits
+from diagrams.world.trajectory import X_GRASP_CAN
+from systems.clearance_filter import ClearanceFilter, Near
 
 HELD = "held_can"
 IN_HAND = 0.03  # m: a can nearer than that to the grasp frame is in the closed hand
@@ -43,7 +42,7 @@ class _Scene:
         hand = ["arm", "gripper"]
         if held:
             hand.append(HELD)
-            _add(plant, HELD, can, plant.GetFrameByName("grasp"), _in_grasp(world))
+            _add(plant, HELD, can, plant.GetFrameByName("grasp"), X_GRASP_CAN)
         self.cans: dict[str, RigidBody] = {}
         if possible:
             lower, upper = world.grid.bounds
@@ -137,6 +136,25 @@ class ClearanceMap:
         return bool(np.linalg.norm(grasp - pose[4:]) < IN_HAND)
 
 
+def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter | None:
+    """The filter that `world.clearance` asks for; None: the way home is straight."""
+    given = world.clearance
+    if given.cans == "unseen":
+        return None
+    lower, upper, speed = controller_limits(station)
+    return ClearanceFilter(
+        ClearanceMap(world, possible=given.cans == "possible"),
+        posture_size=len(lower),
+        joints=ARM_JOINTS,
+        lower=lower,
+        upper=upper,
+        max_step=(speed * world.timing.period)[:ARM_JOINTS],
+        gap=given.gap,
+        least=given.least,
+        rate=given.rate,
+    )
+
+
 class _View:
     """The scene as it is known at one posture."""
 
@@ -181,14 +199,6 @@ def _add(
     if frame is not None:
         plant.WeldFrames(frame, body.body_frame(), X_FB)
     return body
-
-
-def _in_grasp(world: World) -> RigidTransform:
-    """Pose of a can in the grasp frame: upright as the hand grasps it, which it does by the same angles everywhere."""
-    hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
-    grasp = np.array([*np.mean(world.grid.bounds, axis=0), CAN_HALF_HEIGHT + GRASP_ABOVE_CENTRE])
-    X_WG = hand.grasp_pose(hand.solve_ik(grasp))
-    return X_WG.inverse().multiply(RigidTransform(grasp - [0, 0, GRASP_ABOVE_CENTRE]))
 
 
 def _radius(shape: Shape) -> float:

@@ -1,7 +1,7 @@
 """Inverse kinematics of the hand, by Drake's InverseKinematics on the arm alone."""
 
 import numpy as np
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import Solve
 
@@ -52,11 +52,7 @@ class HandKinematics:
         """Smallest distance of `joints` (7, rad) to a joint limit, rad; negative outside."""
         return float(np.min(np.minimum(joints - self.lower, self.upper - joints)))
 
-    def grasp_pose(self, joints: np.ndarray) -> RigidTransform:
-        """Pose of the grasp frame in the world, m."""
-        self._plant.SetPositions(self._context, np.append(joints, [0.0, 0.0]))
-        return self._plant.GetFrameByName("grasp").CalcPoseInWorld(self._context)
-
     def grasp_position(self, joints: np.ndarray) -> np.ndarray:
         """(3,) position of the grasp frame, m, world."""
-        return self.grasp_pose(joints).translation()
+        self._plant.SetPositions(self._context, np.append(joints, [0.0, 0.0]))
+        return self._plant.GetFrameByName("grasp").CalcPoseInWorld(self._context).translation()

@@ -3,10 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.trajectories import PiecewisePolynomial
 
 from diagrams.world.configuration import World
-from diagrams.world.inverse_kinematics import HandKinematics
+from diagrams.world.inverse_kinematics import TILT_DEG, HandKinematics
 from diagrams.world.names import ARM_JOINTS
 
 # Of the waypoints of either subtask: home, down to the goal and up again, home.
@@ -17,6 +18,9 @@ TICKS = (
 FINGERS_MOVE = 5  # index of the waypoint from which on they are closed (subtask 1) or open
 SUBTASK_STEPS = tuple(ticks[-1] for ticks in TICKS)
 GRASP_ABOVE_CENTRE = 0.010  # of the can, m
+# Of the held can in the grasp frame, upright as the hand grasps it, which leans.
+_R_GRASP_CAN = RotationMatrix.MakeXRotation(-np.deg2rad(90.0 + TILT_DEG))
+X_GRASP_CAN = RigidTransform(_R_GRASP_CAN, _R_GRASP_CAN.multiply(np.array([0.0, 0.0, -GRASP_ABOVE_CENTRE])))
 HOVER = 0.115  # height above the grasp from which the hand comes down on the can, m
 FREE_DEVIATION, DWELL_DEVIATION = np.deg2rad(2.5), np.deg2rad(0.5)  # largest, a joint: see deviations()
 DEVIATION_KNOTS = 10  # ticks

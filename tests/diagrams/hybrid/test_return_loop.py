@@ -10,9 +10,10 @@ from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid import return_trajectories
-from diagrams.hybrid.return_loop import GRASPED_GAP, ReturnLoop
+from diagrams.hybrid.return_loop import GRASPED_GAP, ReturnLoop, Trajectory
 from diagrams.hybrid.return_samples import Sample
-from diagrams.hybrid.return_trajectories import Trajectory, trajectories_home
+from diagrams.hybrid.return_trajectories import trajectories_home
+from diagrams.world.configuration import Clearance
 from diagrams.world.task import lifted
 
 CAN = np.array([0.5, 0.0])
@@ -36,9 +37,10 @@ def test_command_of_the_loop_is_the_regulators(loop, world):
 
 def test_trajectory_home_is_replayed_bit_by_bit(loop, world):
     start = world.initial_posture[:7] + 0.05
-    rows, slip, broke_off = loop.run(start, CAN, "left")
-    assert (slip, broke_off) == (None, None)
-    assert np.array_equal(rows, loop.run(start, CAN, "left")[0])
+    way = loop.run(start, CAN, "left")
+    rows = way.rows
+    assert (way.slip, way.broke_off, way.filtered, way.free) == (None, None, 0, True)
+    assert np.array_equal(rows, loop.run(start, CAN, "left").rows)
     assert np.array_equal(rows[0], start)
     assert np.abs(rows[-1] - world.initial_posture[:7]).max() < np.deg2rad(3.0)
 
@@ -52,29 +54,30 @@ def test_a_simulation_that_breaks_off_did_not_arrive(loop, world, monkeypatch):
         Initialize=loop.simulator.Initialize, AdvanceTo=breaks,
     ))  # fmt: skip
     home = world.initial_posture[:7]
-    rows, _, broke_off = loop.run(home + 0.05, CAN, "left")
-    assert broke_off == "something is non-finite"
-    assert rows.shape == (1, 7)
+    way = loop.run(home + 0.05, CAN, "left")
+    assert way.broke_off == "something is non-finite"
+    assert way.rows.shape == (1, 7)
+    assert not way.free
     at_home = np.tile(home, (3, 1))
-    assert Trajectory(at_home, 0.01, None).arrival(home) == 0
-    assert Trajectory(np.vstack((home + 0.1, at_home)), 0.01, None).arrival(home) == 1
-    assert Trajectory(at_home, 0.01, None, None, broke_off).arrival(home) == -1
+    assert replace(way, rows=at_home, broke_off=None).arrival(home) == 0
+    assert replace(way, rows=np.vstack((home + 0.1, at_home)), broke_off=None).arrival(home) == 1
+    assert replace(way, rows=at_home).arrival(home) == -1
 
 
 def test_the_first_step_is_the_regulators(loop, world):
     """The command before the first tick is the posture itself, not the initial one."""
     start = world.initial_posture[:7] + np.array([0.5, 0.3, 0.5, -0.5, 0.5, -0.5, 0.5])
-    rows, *_ = loop.run(start, CAN, "left")
+    rows = loop.run(start, CAN, "left").rows
     step = (rows[1] - rows[0]) / (rows[0] - world.initial_posture[:7])
     assert step == pytest.approx(-0.095, abs=0.012)  # nine tenths of 0.1 at least
 
 
 def test_a_held_can_comes_home_in_the_hand(loop, world):
     start = world.initial_posture[:7] + np.array([0.4, 0.1, 0.2, -0.2, 0.0, -0.1, 0.2])
-    rows, slip, broke_off = loop.run(start, CAN, "left", held=True)
-    assert broke_off is None
-    assert slip < 0.005
-    assert Trajectory(rows, 0.01, None, slip).arrival(world.initial_posture[:7]) > 0
+    way = loop.run(start, CAN, "left", held=True)
+    assert way.broke_off is None
+    assert way.slip < 0.005
+    assert way.arrival(world.initial_posture[:7]) > 0
     context = loop.simulator.get_context()
     poses = loop.station.GetOutputPort("can_poses").Eval(loop.station.GetMyContextFromRoot(context))
     assert lifted(poses)
@@ -82,13 +85,25 @@ def test_a_held_can_comes_home_in_the_hand(loop, world):
     posture = loop.station.GetOutputPort("posture").Eval(loop.station.GetMyContextFromRoot(context))
     assert posture[7] == world.closed_opening
     # The next one has the can on the desk again, and open fingers.
-    assert loop.run(start, CAN, "left")[1] is None
+    assert loop.run(start, CAN, "left").slip is None
     assert loop.station.finger_gap(loop.simulator.get_context()) == pytest.approx(world.opening, abs=0.001)
 
 
+def test_where_the_straight_way_touches_something_the_filter_goes_round_it(loop, world, hand):
+    """From the left spot with a can in the hand, past the can that stands on the right one."""
+    start = hand.solve_ik(loop.station.spot("left") + [0, 0, 0.06])
+    straight = ReturnLoop(replace(world, clearance=Clearance(cans="unseen"))).run(start, CAN, "left", held=True)
+    assert straight.touches
+    assert (straight.name, straight.filtered, straight.free) == ("can_on_shelf", 0, False)
+    way = loop.run(start, CAN, "left", held=True)
+    assert way.nearest > 0.008
+    assert way.filtered > 0
+    assert not way.free
+    assert way.arrival(world.initial_posture[:7]) > 0
+
+
 def test_what_slipped_far_is_dropped():
-    rows = np.zeros((1, 7))
-    dropped = [Trajectory(rows, 0.01, None, slip).dropped for slip in (None, 0.01, 0.06)]
+    dropped = [Trajectory(np.zeros((1, 7)), 0.05, None, 0, slip).dropped for slip in (None, 0.01, 0.06)]
     assert dropped == [False, False, True]
 
 

@@ -3,22 +3,22 @@
 import numpy as np
 import pytest
 
+from diagrams.hybrid.return_loop import Trajectory
 from diagrams.hybrid.return_promise import Promise
 from diagrams.hybrid.return_proof import bound, holds, judge, total
 from diagrams.hybrid.return_samples import Sample
-from diagrams.hybrid.return_trajectories import Trajectory
 
 HOME = np.zeros(7)
 AT_HOME = 0.01
 PROMISE = Promise(0.5, 0.5, 3)  # home after 7 ticks
 
 
-def way(ticks, touches=None, slip=None, to=0.0):
+def way(ticks, touches=None, slip=None, to=0.0, filtered=0):
     """A joint that is at home after so many ticks; V falls by half a tick."""
     values = np.append(0.5 ** np.arange(ticks), to)
     rows = np.outer(np.append(np.ones(ticks), to), np.ones(7))
     return Sample((1.0,) * 7, (0.5, 0.0), "left", slip is not None), Trajectory(
-        rows, 0.002 if touches else 0.01, touches, slip
+        rows, -0.002 if touches else 0.01, touches or "shelf", filtered, slip
     ), values  # fmt: skip
 
 
@@ -35,19 +35,22 @@ def test_bounds_by_hand():
 
 
 def test_ways_are_counted():
-    found = report(way(6), way(7, slip=0.2), way(9, "desk"), way(3, "shelf", 0.01, to=1.0))
-    assert (found["all"]["samples"], found["all"]["failures"], found["all"]["later_than_certified"]) == (4, 1, 2)
-    assert (found["clear"]["samples"], found["clear"]["failures"], found["clear"]["later_than_certified"]) == (2, 0, 0)
-    assert found["all"]["bound"] == bound(1, 4)
+    found = report(
+        way(6), way(7, slip=0.2), way(9, "desk"), way(3, "shelf", 0.01, to=1.0), way(8, filtered=2)
+    )  # fmt: skip
+    assert (found["all"]["samples"], found["all"]["failures"], found["all"]["later_than_certified"]) == (5, 1, 3)
+    assert (found["free"]["samples"], found["free"]["failures"], found["free"]["later_than_certified"]) == (2, 0, 0)
+    assert found["all"]["bound"] == bound(1, 5)
+    assert found["filtered"] == 1
     assert found["touches"] == {"desk": 1, "shelf": 1}
-    assert (found["nearest_distance_m"], found["held"], found["dropped"], found["dropped_clear"]) == (0.002, 2, 1, 1)
+    assert (found["nearest_distance_m"], found["held"], found["dropped"], found["dropped_free"]) == (-0.002, 2, 1, 1)
     assert found["time_home_certified_s"] == pytest.approx(0.7)
-    assert found["time_home_measured_s"] == {"median": pytest.approx(0.7), "max": pytest.approx(0.9)}
+    assert found["time_home_measured_s"] == {"median": pytest.approx(0.75), "max": pytest.approx(0.9)}
     sets = {"box": found, "onsets": report(way(5))}
     whole = total(sets)
-    assert (whole["samples_inside"], whole["failures_inside"], whole["touches_inside"]) == (5, 1, 2)
-    assert (whole["samples_clear"], whole["failures_clear"], whole["nearest_distance_m"]) == (3, 0, 0.002)
-    assert whole["bound_inside"] == bound(1, 5)
+    assert (whole["samples_inside"], whole["failures_inside"], whole["touches_inside"]) == (6, 1, 2)
+    assert (whole["samples_free"], whole["failures_free"], whole["nearest_distance_m"]) == (3, 0, -0.002)
+    assert whole["bound_inside"] == bound(1, 6)
     assert holds({"sets": sets})  # contact is not covered
 
 
@@ -61,7 +64,7 @@ def test_ways_are_counted():
 def test_what_is_not_borne_out_does_not_hold(broken):
     found = report(way(6))
     assert holds({"sets": {"box": found}})
-    assert not holds({"sets": {"box": found | {"clear": found["clear"] | broken}}})
+    assert not holds({"sets": {"box": found | {"free": found["free"] | broken}}})
 
 
 def test_leaving_the_box_is_seen():
