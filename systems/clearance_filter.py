@@ -37,8 +37,11 @@ class Map(Protocol):
     reach: np.ndarray  # (J,) m/rad: no point of the arm, or of what it holds, moves farther than sum_j reach_j |dq_j|
     obstacle_size: int  # of what it must be told at every tick; 0: it knows all it needs
 
-    def view(self, posture: np.ndarray, obstacles: np.ndarray) -> View:
-        """What is there with the arm at `posture` (M, physical units); `obstacles`: (obstacle_size,)."""
+    def view(self, posture: np.ndarray, obstacles: np.ndarray, returning: bool = True) -> View:
+        """What is there with the arm at `posture` (M, physical units); `obstacles`: (obstacle_size,).
+
+        Not `returning`: on the learned motion, which must come near to what the task is about.
+        """
 
 
 class ClearanceFilter(LeafSystem):
@@ -53,7 +56,7 @@ class ClearanceFilter(LeafSystem):
     Inputs:
         posture: (M,) m_k as sampled at the tick, joint angles in rad first.
         desired_posture: (M,) the command m_k + dm, same unit.
-        alpha: (1,) alpha_k: below 1/2 the command passes as it is.
+        alpha: (1,) alpha_k: below 1/2, on the learned motion, the command passes as it is, unless that is asked for too.
         obstacles: what `Map.view` is told; only where the map asks for it.
     Outputs:
         filtered_posture: (M,) m_k + dm' with the dm' nearest to dm such that for every pair of bodies at the distance d
@@ -82,6 +85,7 @@ class ClearanceFilter(LeafSystem):
         gap: float = 0.01,
         least: float = 0.005,
         rate: float = 0.3,
+        learned_motion: bool = False,
     ):
         """
         Args:
@@ -92,6 +96,7 @@ class ClearanceFilter(LeafSystem):
             gap: distance that the arm keeps, m.
             least: distance that each step is proven to keep, m.
             rate: share of the distance above `gap` by which a tick may come nearer, in (0, 1].
+            learned_motion: filter the learned motion too.
         """
         super().__init__()
         size = require_count("posture_size", posture_size)
@@ -105,7 +110,7 @@ class ClearanceFilter(LeafSystem):
                 f"least is {least}, gap {gap} and rate {rate}; needed is least < gap < {WITHIN} and rate <= 1: pass "
                 "such numbers."
             )
-        self._map = map
+        self._map, self._learned_motion = map, bool(learned_motion)
         self._posture = self.DeclareVectorInputPort("posture", size)
         self._desired = self.DeclareVectorInputPort("desired_posture", size)
         self._alpha = self.DeclareVectorInputPort("alpha", 1)
@@ -118,7 +123,10 @@ class ClearanceFilter(LeafSystem):
 
     def _view(self, context: Context) -> View:
         obstacles = np.empty(0) if self._obstacles is None else self._obstacles.Eval(context)
-        return self._map.view(self._posture.Eval(context), obstacles)
+        return self._map.view(self._posture.Eval(context), obstacles, self._returning(context))
+
+    def _returning(self, context: Context) -> bool:
+        return bool(self._alpha.Eval(context)[0] >= GUARD)
 
     def _calc_clearance(self, context: Context, output: BasicVector) -> None:
         near = self._view(context).near(self._posture.Eval(context)[: self._joints], WITHIN)
@@ -127,7 +135,7 @@ class ClearanceFilter(LeafSystem):
     def _calc_posture(self, context: Context, output: BasicVector) -> None:
         desired = self._desired.Eval(context)
         output.SetFromVector(desired)
-        if self._alpha.Eval(context)[0] < GUARD:
+        if not self._learned_motion and not self._returning(context):
             return
         joints = self._posture.Eval(context)[: self._joints]
         step = desired[: self._joints] - joints

@@ -26,6 +26,7 @@ from diagrams.world.trajectory import X_GRASP_CAN
 from systems.clearance_filter import ClearanceFilter, Near
 
 HELD = "held_can"
+HAND = ("palm", "left_finger", "right_finger")
 IN_HAND = 0.03  # m: a can nearer than that to the grasp frame is in the closed hand
 POSE = 7  # numbers of a can's pose: quaternion (w, x, y, z) and position, m, world
 
@@ -69,7 +70,12 @@ class _Scene:
         )
         self.plant = plant
         self.positions = plant.GetPositions(plant.CreateDefaultContext())
-        self.bodies = {int(body.index()): name for name, body in self.cans.items()}
+        self.bodies = np.array([int(body.index()) for body in self.cans.values()])
+        # What the learned motion must come near to: the hand to the can that it picks, the held can to where it goes.
+        goals = [body for name, body in self.cans.items() if possible or name == CANS[0]]
+        self.goals = np.array([int(body.index()) for body in goals], int)
+        self.hand = np.array([int(plant.GetBodyByName(name).index()) for name in HAND])
+        self.held = int(plant.GetBodyByName(HELD).index()) if held else None
 
     def _exclude(self, builder: RobotDiagramBuilder, plant: MultibodyPlant) -> None:
         """Leaves pairs within the arm and within the rest out: no joint angles let the arm meet itself."""
@@ -120,14 +126,18 @@ class ClearanceMap:
         self._scenes = [_Scene(world, held, possible) for held in (False, True)]
         self.reach = self._scenes[True].reach()
 
-    def view(self, posture: np.ndarray, obstacles: np.ndarray) -> "_View":
-        """What is there with the arm at `posture` (8, rad and m); `obstacles`: (0,) or (14,), see the class."""
+    def view(self, posture: np.ndarray, obstacles: np.ndarray, returning: bool = True) -> "_View":
+        """What is there with the arm at `posture` (8, rad and m); `obstacles`: (0,) or (14,), see the class.
+
+        Not `returning`, a held can may come near to everything, and the hand to the can that it picks: to every
+        possible one.
+        """
         closed = bool(posture[ARM_JOINTS] < self._world.close_below)
         if self._possible:
-            return _View(self._scenes[closed], posture, 2 * CAN_RADIUS if closed else posture[ARM_JOINTS])
+            return _View(self._scenes[closed], posture, 2 * CAN_RADIUS if closed else posture[ARM_JOINTS], returning)
         poses = dict(zip(CANS, obstacles.reshape(len(CANS), POSE), strict=True))
         scene = self._scenes[closed and self._in_hand(posture, poses[CANS[0]])]
-        return _View(scene, posture, 2 * CAN_RADIUS if closed else posture[ARM_JOINTS], poses)
+        return _View(scene, posture, 2 * CAN_RADIUS if closed else posture[ARM_JOINTS], returning, poses)
 
     def _in_hand(self, posture: np.ndarray, pose: np.ndarray) -> bool:
         plant, context = self._scenes[False].plant, self._scenes[False].plant.CreateDefaultContext()
@@ -152,24 +162,32 @@ def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter
         gap=given.gap,
         least=given.least,
         rate=given.rate,
+        learned_motion=given.learned_motion,
     )
 
 
 class _View:
     """The scene as it is known at one posture."""
 
-    def __init__(self, scene: _Scene, posture: np.ndarray, gap: float, poses: dict[str, np.ndarray] | None = None):
+    def __init__(
+        self,
+        scene: _Scene,
+        posture: np.ndarray,
+        gap: float,
+        returning: bool,
+        poses: dict[str, np.ndarray] | None = None,
+    ):
         """`gap`: of the fingers, m; `poses`: (7,) each, of the cans that are not in the hand."""
-        self._scene, self._absent = scene, np.empty(0, int)
+        self._scene, self._returning, self._absent = scene, returning, np.empty(0, int)
         self._positions = scene.positions.copy()
         self._positions[ARM_JOINTS : ARM_JOINTS + 2] = 0.5 * gap
         for name, body in scene.cans.items() if poses is not None else ():
             start = body.floating_positions_start()
             self._positions[start : start + POSE] = poses[name]
         if poses is None:
-            near = self._query(posture[:ARM_JOINTS], 0.0)
-            overlapped = near.pairs[near.distances < 0.0] % scene.plant.num_bodies()
-            self._absent = np.intersect1d(overlapped, list(scene.bodies))
+            found = self._query(posture[:ARM_JOINTS], 0.0)
+            overlapped = found.pairs[found.distances < 0.0] % scene.plant.num_bodies()
+            self._absent = np.intersect1d(overlapped, scene.bodies)
 
     def _query(self, joints: np.ndarray, within: float) -> Near:
         scene = self._scene
@@ -183,11 +201,12 @@ class _View:
 
     def near(self, joints: np.ndarray, within: float) -> Near:
         """See `systems.clearance_filter.View`."""
-        found = self._query(joints, within)
-        if len(self._absent):
-            there = ~np.isin(found.pairs % self._scene.plant.num_bodies(), self._absent)
-            return Near(found.distances[there], found.jacobians[there], found.pairs[there])
-        return found
+        scene, found = self._scene, self._query(joints, within)
+        robot, other = np.divmod(found.pairs, scene.plant.num_bodies())
+        there = ~np.isin(other, self._absent)
+        if not self._returning:
+            there &= ~(np.isin(robot, scene.hand) & np.isin(other, scene.goals)) & (robot != scene.held)
+        return Near(found.distances[there], found.jacobians[there], found.pairs[there])
 
 
 def _add(

@@ -97,6 +97,7 @@ class Clearance:
     gap: float = 0.01  # distance kept, m
     least: float = 0.005  # distance that every step is proven to keep, m
     rate: float = 0.3  # share of the distance above the gap that a tick may use up
+    learned_motion: bool = False  # filter the learned motion too
 
 
 @dataclass

@@ -42,6 +42,11 @@ def test_the_learned_motion_passes_to_the_bit():
     assert filtered(Walls(AHEAD), [0.0, 0.0], [0.3, 0.1], alpha=0.5)[0] < 0.1
 
 
+def test_the_learned_motion_is_filtered_where_that_is_asked_for():
+    asked = filtered(Walls(AHEAD), [0.0, 0.0], [0.3, 0.1], alpha=0.0, learned_motion=True)
+    np.testing.assert_allclose(asked, [0.027, 0.1, 0.08], atol=1e-6)
+
+
 def test_the_clearance_is_that_of_the_posture():
     assert filtered(Walls(AHEAD), [0.04, 0.0], [0.0, 0.0], output="clearance") == pytest.approx(0.06)
     assert filtered(Walls(AHEAD), [-0.9, 0.0], [0.0, 0.0], output="clearance") == WITHIN

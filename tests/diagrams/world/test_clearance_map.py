@@ -1,17 +1,23 @@
 """ClearanceMap: distances by hand, the reach, what is there and what is not, and why the arm cannot meet itself."""
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.geometry import Role
 
-from diagrams.world.clearance_map import ClearanceMap
-from diagrams.world.configuration import World
+from diagrams.world.clearance_map import ClearanceMap, clearance_filter
+from diagrams.world.collisions import CollisionChecker
+from diagrams.world.configuration import Clearance, World
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CAN_RADIUS
 from diagrams.world.station import PickPlaceStation
+from diagrams.world.trajectory import subtask_commands
 from systems.clearance_filter import WITHIN
+from tests.systems.system_checks import evaluate
 
 WORLD = World()
 HOME = WORLD.initial_posture
@@ -113,6 +119,42 @@ def test_property_no_distance_falls_faster_than_the_reach_says(seed):
     view = map.view(np.append(HOME[:ARM_JOINTS], rng.choice([OPEN, CLOSED])), NOTHING)
     before, after = (view.near(joints, 1.0).distances.min(initial=1.0) for joints in (a, b))
     assert before - after <= map.reach @ np.abs(b - a) + 1e-6
+
+
+def commands_of(hand, station, can_xy, vacant):
+    """Both subtasks as the teacher shows them, the fingers as commanded."""
+    first = subtask_commands(WORLD, hand, np.array([*can_xy, CAN_HALF_HEIGHT]), 1)
+    return np.concatenate((first, subtask_commands(WORLD, hand, station.spot(vacant), 2)))
+
+
+def test_on_the_learned_motion_the_filter_changes_no_tick_of_the_teachers(hand, station):
+    own = replace(WORLD, clearance=Clearance(learned_motion=True))
+    system = clearance_filter(own, station)
+    for can_xy, vacant in (((0.46, -0.07), "left"), ((0.60, 0.07), "right")):
+        commands = commands_of(hand, station, can_xy, vacant)
+        for posture, desired in itertools.pairwise(commands):
+            inputs = dict(posture=posture, desired_posture=desired, alpha=[0.0])
+            assert np.array_equal(evaluate(system, "filtered_posture", inputs), desired)
+
+
+@pytest.mark.parametrize("cans", ["possible", "true"])
+def test_a_hostile_command_does_not_bring_the_arm_into_desk_or_shelf(hand, station, cans):
+    own = replace(WORLD, clearance=Clearance(cans=cans, learned_motion=True))
+    system = clearance_filter(own, station)
+    told = dict(obstacles=can_poses([0.6, 0.05, 0.05], station.spot("right"))) if cans == "true" else {}
+    for goal in ([0.45, -0.05, 0.0], [*station.spot("left")[:2], 0.03]):
+        target = np.append(hand.solve_ik(np.array(goal) + [0, 0, 0.02]), OPEN)
+        target[:ARM_JOINTS] += 0.3 * (target - HOME)[:ARM_JOINTS]  # into it
+        posture = HOME
+        for _ in range(40):
+            desired = posture + np.clip(target - posture, -0.15, 0.15)
+            posture = evaluate(
+                system, "filtered_posture", dict(posture=posture, desired_posture=desired, alpha=[0.0]) | told
+            )
+        checker = CollisionChecker(gap=0.004)
+        checker.set_scene((0.6, 0.05), "left")
+        assert checker.first_touch(posture[:ARM_JOINTS]) is None
+        assert np.abs(target - posture)[:ARM_JOINTS].max() > 0.02  # it would have gone on
 
 
 _kept: list[ClearanceMap] = []
