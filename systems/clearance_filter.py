@@ -56,7 +56,7 @@ class ClearanceFilter(LeafSystem):
     Inputs:
         posture: (M,) m_k as sampled at the tick, joint angles in rad first.
         desired_posture: (M,) the command m_k + dm, same unit.
-        alpha: (1,) alpha_k: below 1/2, on the learned motion, the command passes as it is, unless that is asked for too.
+        alpha: (1,) alpha_k: below 1/2, on the learned motion, the command passes unless that is to be filtered too.
         obstacles: what `Map.view` is told; only where the map asks for it.
     Outputs:
         filtered_posture: (M,) m_k + dm' with the dm' nearest to dm such that for every pair of bodies at the distance d
