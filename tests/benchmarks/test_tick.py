@@ -17,6 +17,8 @@ from diagrams.episodes.episode import Episode
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.runner import build_rollout
 from diagrams.episodes.sampling import EpisodeSampler
+from diagrams.world.clearance_map import clearance_filter
+from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.station import PickPlaceStation, add_models
 from diagrams.world.task import TIME_LIMIT
@@ -96,6 +98,39 @@ def test_a_camera_that_is_not_read_costs_the_physics_nothing(world, in_turns, ho
     unread, without = BareStation(world, read=False), BareStation(world, camera=False)
     (ratio,) = in_turns(lambda: unread.run(episode, path), lambda: without.run(episode, path))
     hold("physics with a camera that is not read over physics alone", ratio, at_most=1.2)
+
+
+def test_filter_over_the_rendering_that_the_way_home_spares(world, measure, in_turns, hold):
+    """On the way home from the shelf with a can in the hand, round the can that may stand on the other spot."""
+    station = PickPlaceStation(world)
+    context, system = station.CreateDefaultContext(), clearance_filter(world, station)
+    own, home = system.CreateDefaultContext(), world.initial_posture[:7]
+    hand = HandKinematics(home)
+    start = np.append(hand.solve_ik(station.spot("left") + [0, 0, 0.06]), world.closed_opening)
+    system.GetInputPort("alpha").FixValue(own, [1.0])
+
+    def filtered():
+        posture, times = start, []
+        for _ in range(30 if measure else 3):
+            step = np.append(0.1 * (home - posture[:7]), 0.0)
+            begin = time.perf_counter()
+            system.GetInputPort("posture").FixValue(own, posture)
+            system.GetInputPort("desired_posture").FixValue(own, posture + step)
+            posture = system.GetOutputPort("filtered_posture").Eval(own)
+            times.append(time.perf_counter() - begin)
+        return np.mean(times)
+
+    def rendered():
+        times = []
+        for turn in np.linspace(-0.3, 0.3, 30 if measure else 2):
+            station.plant.SetPositions(station.plant.GetMyMutableContextFromRoot(context), station.arm, home + turn)
+            begin = time.perf_counter()
+            station.GetOutputPort("rgb_image").Eval(context)
+            times.append(time.perf_counter() - begin)
+        return np.mean(times)
+
+    (ratio,) = in_turns(filtered, rendered)
+    hold("a filtered step of the way home over a rendering", ratio, at_most=0.5)
 
 
 def fused_encoder():
