@@ -11,7 +11,8 @@ from systems.arguments import require_bounds, require_count, require_positive, r
 from systems.detector import GUARD
 
 WITHIN = 0.15  # m: what is farther has no say in a step; a step that leads beyond is looked at piece by piece
-RESOLUTION = 1e-4  # m: the proof of a step ends where it comes that near to the least distance
+RESOLUTION = 0.01  # the proof of a step ends where it comes that near to the least distance, in parts of it
+PRESENT = 0.9
 MOST_PIECES = 50  # of one step's proof
 
 
@@ -64,10 +65,12 @@ class ClearanceFilter(LeafSystem):
             Sreenath, RSS 2017). The other components pass.
         clearance: (1,) m, the smallest distance at m_k, at most WITHIN; computed only where it is pulled.
 
-    The gradient sees a step's beginning only. So each step is proven by conservative advancement before it is
-    commanded: a distance d frees the path ahead for d / sum_j reach_j |dm'_j|; what cannot be proven to stay `least`
-    away (half the present distance, where that is less) is cut off. Where the solver fails the arm holds. A pair that
-    overlaps already is pushed apart, and has no say in the proof.
+    Where no dm' does, since something pushes from the other side, the one that comes nearer to nothing; where the
+    solver fails, 0. The gradient sees a step's beginning only. So the straight line from m_k to the command is proven
+    by conservative advancement: a distance d frees it for d / sum_j reach_j |dm'_j|; what cannot be proven to stay
+    `least` away, or PRESENT of the present distance where that is less, is cut off. Two bodies that overlap
+    already are pushed apart, and have no say in the proof. How near the arm itself comes, which follows the command
+    with a lag, is measured.
 
     Direct feedthrough, no state. No AutoDiff: the minimum is not differentiable where a pair begins to matter, and
     signed distances between a cylinder and most shapes have none in Drake.
@@ -94,7 +97,7 @@ class ClearanceFilter(LeafSystem):
             lower, upper: (M,) limits of the command.
             max_step: (J,) largest step of a tick, rad.
             gap: distance that the arm keeps, m.
-            least: distance that each step is proven to keep, m.
+            least: distance that the straight line to each command is proven to keep, m.
             rate: share of the distance above `gap` by which a tick may come nearer, in (0, 1].
             learned_motion: filter the learned motion too.
         """
@@ -146,32 +149,35 @@ class ClearanceFilter(LeafSystem):
             output.SetFromVector(np.concatenate((joints + filtered, desired[self._joints :])))
 
     def _kept_away(self, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """`step` (J,) where it keeps the distances, else the one nearest to it that does; 0 where none is found."""
+        """`step` (J,) where it keeps the distances, else the one nearest to it that does; see the class."""
         bound = -self._rate * (near.distances - self._gap)
         if np.all(near.jacobians @ step >= bound):
             return step
         lower = np.maximum(-self._max_step, np.minimum(self._lower[: self._joints] - joints, 0.0))
         upper = np.minimum(self._max_step, np.maximum(self._upper[: self._joints] - joints, 0.0))
-        program = MathematicalProgram()
-        dm = program.NewContinuousVariables(self._joints)
-        program.AddQuadraticErrorCost(np.eye(self._joints), step, dm)
-        program.AddBoundingBoxConstraint(lower, upper, dm)
-        program.AddLinearConstraint(near.jacobians, bound, np.full(len(bound), np.inf), dm)
-        result = ClarabelSolver().Solve(program)
-        return result.GetSolution(dm) if result.is_success() else np.zeros(self._joints)
+        for least in (bound, np.minimum(bound, 0.0)):  # 0 keeps the second
+            program = MathematicalProgram()
+            dm = program.NewContinuousVariables(self._joints)
+            program.AddQuadraticErrorCost(np.eye(self._joints), step, dm)
+            program.AddBoundingBoxConstraint(lower, upper, dm)
+            program.AddLinearConstraint(near.jacobians, least, np.full(len(least), np.inf), dm)
+            result = ClarabelSolver().Solve(program)
+            if result.is_success():
+                return result.GetSolution(dm)
+        return np.zeros(self._joints)
 
     def _proven(self, view: View, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`step` (J,) where all of it is proven to keep the least distance, else the part of it that is."""
         travel = float(self._map.reach @ np.abs(step))  # of the arm's fastest point
         overlapping = near.pairs[near.distances <= 0.0]
         nearest = near.distances[near.distances > 0.0].min(initial=WITHIN)
-        least, share = min(self._least, 0.5 * nearest), 0.0
+        least, share = min(self._least, PRESENT * nearest), 0.0
         for _ in range(MOST_PIECES):
             share += (nearest - least) / max(travel, 1e-12)
             if share >= 1.0:
                 return step
             ahead = view.near(joints + share * step, WITHIN)
             nearest = ahead.distances[~np.isin(ahead.pairs, overlapping)].min(initial=WITHIN)
-            if nearest - least < RESOLUTION:
+            if nearest - least < RESOLUTION * least:
                 break
         return share * step

@@ -17,7 +17,7 @@ from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
-from diagrams.world.clearance_map import clearance_filter
+from diagrams.world.clearance_map import add_clearance_filter
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
@@ -27,8 +27,11 @@ from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
 from systems.switched_controller import SwitchedController
 
+COMMAND = "desired_posture"  # as it comes out of the clearance filter
+FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into it
 # Outputs of the controller that are logged, under their own names.
-LOGGED = ("rnn_step", "regulator_step", "desired_posture", "errors", "hidden_state", "predicted_features")
+LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features")
+WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
 JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
 
@@ -94,22 +97,16 @@ class Rollout:
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
         builder.Connect(station.GetOutputPort("rgb_image"), controller.GetInputPort("rgb_image"))
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
-        self.filter, command = clearance_filter(world, station), controller.GetOutputPort("desired_posture")
-        if self.filter is not None:
-            builder.AddNamedSystem("clearance_filter", self.filter)
-            for port in ("posture", "alpha", "desired_posture"):
-                source = "measured_posture" if port == "posture" else port
-                builder.Connect(controller.GetOutputPort(source), self.filter.GetInputPort(port))
-            if self.filter.HasInputPort("obstacles"):
-                builder.Connect(station.GetOutputPort("can_poses"), self.filter.GetInputPort("obstacles"))
-            command = self.filter.GetOutputPort("filtered_posture")
-        builder.Connect(command, disturbance.GetInputPort("desired_posture"))
+        self._command = add_clearance_filter(
+            builder, world, station, *(controller.GetOutputPort(name) for name in FILTERED)
+        )
+        builder.Connect(self._command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
         builder.Connect(disturbance.GetOutputPort("disturbed_posture"), station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
         builder.Connect(self.can_mover.GetOutputPort("can_place"), station.GetInputPort("can_place"))
         # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
-        logged = [controller.GetOutputPort(name) for name in LOGGED]
+        logged = [self._command if name == COMMAND else controller.GetOutputPort(name) for name in LOGGED]
         self._sizes = [port.size() for port in logged]
         self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
         for i, port in enumerate(logged):
@@ -186,20 +183,17 @@ class Rollout:
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
         judged = [ports[name] for name in JUDGED]
         rows: dict[str, list] = {name: [] for name in ARRAYS}
-        way_home, steps = WayHome(self.station), round(period / self.world.timing.time_step)
-        success = diverged = cut = can_moved = homing = closed = False
+        way_home = WayHome(self.station)
+        success = diverged = cut = can_moved = homing = False
         limit, k = round(time_limit / period), 0
         while k < limit + switching.ticks_disturbed and not success and not cut:
-            for step in range(1, steps if homing else 0):
-                if self._advance((k - 0.5 + step / steps) * period, *ports["state"]):
-                    way_home.see(root, closed)
             # To the middle of the tick: its outputs hold from the update to the next one.
-            if not self._advance((k + 0.5) * period, *ports["state"]):
+            if not self._to_middle(k, homing, way_home, ports):
                 diverged = True  # what came before is kept
                 break
             posture, alpha, active, taken, cans = [port.Eval(context).copy() for port, context in judged]
             alpha, active = float(alpha[0]), bool(active[0] > 0.5)
-            homing, closed = alpha >= GUARD and not active, bool(posture[ARM_JOINTS] < self.world.close_below)
+            homing = alpha >= GUARD and not active
             for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans)):
                 rows[name].append(value)
             if pictures and k % PICTURE_EVERY == 0:
@@ -239,6 +233,23 @@ class Rollout:
         parts = np.split(rows, np.cumsum(self._sizes)[:-1], axis=1)
         network_input = self._input_log.FindLog(root).data().T[:ticks]
         return dict(zip((*LOGGED, "network_input"), map(np.ascontiguousarray, (*parts, network_input)), strict=True))
+
+    def _to_middle(self, k: int, homing: bool, way_home: WayHome, ports: dict) -> bool:
+        """To the middle of tick k, see `_advance`; on a way home it is looked at after each step of the plant.
+
+        `homing`: whether the arm was on a way home in the tick before.
+        """
+        period, steps = self.world.timing.period, round(self.world.timing.period / self.world.timing.time_step)
+        state, root = ports["state"], self.simulator.get_context()
+        first = steps // 2 + 1  # that the plant takes after the update of tick k
+        for step in range(1 if homing else first, steps + 1):
+            if not self._advance((k - 0.5 + step / steps) * period, *state):
+                return False
+            posture, alpha, active = (p.Eval(c) for p, c in map(ports.__getitem__, WATCHED))
+            if alpha[0] < GUARD or active[0] > 0.5:
+                break
+            way_home.see(root, closed=bool(posture[ARM_JOINTS] < self.world.close_below))
+        return self._advance((k + 0.5) * period, *state)
 
     def _advance(self, seconds: float, state: OutputPort, plant_context: Context) -> bool:
         """To that time; False if the physics diverged: something hard was squeezed between hard things."""

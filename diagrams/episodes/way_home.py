@@ -4,11 +4,10 @@ import numpy as np
 from pydrake.geometry import Role
 from pydrake.systems.framework import Context
 
-from diagrams.world.names import CANS
+from diagrams.world.names import CANS, IN_HAND
 from diagrams.world.station import PickPlaceStation
 
 WITHIN = 0.05  # m: farther away is not told apart
-IN_HAND = 0.03  # m: a can nearer than that to the grasp frame is between the fingers
 
 
 class WayHome:

@@ -3,8 +3,7 @@
 The arm is deflected by `size_deg` along a direction, from a moment on, and held there for a while; or it is stopped
 alone; or stopped while the can is taken out of its hand and put elsewhere. Defeated means one of DEFEATS
 (diagrams/episodes/switching.py). A perturbation that is not detected is no defeat where the task is done all the same:
-the network has coped with it. One whose forced path would touch the scene is none, as in the sampling of episodes; nor
-is one whose straight path home would: that defeats the path, not the switching.
+the network has coped with it. One whose forced path would touch the scene is none, as in the sampling of episodes.
 
 What is minimised: the magnitude in [0, 1] where the controller is defeated, else 1 + its margin in [0, 1].
 """

@@ -5,8 +5,9 @@ the identity, so the joints go home each for itself, and V, the gauge of the box
 in the ideal loop from every posture of that box, at a rate known in closed form. What the servo takes from it is
 measured on ways home of their own, with a safety factor, before any posture of the proof is simulated: for the postures
 in which a disturbance meets or leaves the arm, and for the whole box, where of the first tick from rest it is promised
-only that V does not rise. The proof are fresh postures on the full plant, a can in the hand in half of them. What the
-certificate does not cover is contact: ways that come near to something are counted apart.
+only that V does not rise. The proof are fresh postures on the full plant, a can in the hand in half of them, with the
+clearance filter that runs there: all ways must come home without coming near to anything; V and the certified times are
+judged on the ways that are the LQR's alone.
 """
 
 from dataclasses import dataclass
@@ -146,12 +147,14 @@ def _words(found: dict[str, Any]) -> str:
         f"inside the box: {found['coverage_onsets']:.1%} of the onset postures, {found['coverage_targets']:.1%} of A's "
         f"targets, of {found['draws']} episodes",
         f"{found['failures_inside']} of {found['samples_inside']} fail to come home (95 % bound "
-        f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something",
+        f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something, the nearest comes to "
+        f"{found['nearest_distance_m']} m",
     ]
     for kind, found_here in found["sets"].items():
-        free = found_here["free"]
+        free, everything = found_here["free"], found_here["all"]
         lines.append(
-            f"{kind}: of {free['samples']} free ways {free['failures']} fail, {free['left_box']} leave the box, "
+            f"{kind}: of {everything['samples']} ways {everything['failures']} fail, {everything['left_box']} leave "
+            f"the box, {everything['touches']} touch something; of the {free['samples']} that are the LQR's alone "
             f"{free['later_than_certified']} come later than certified ({found_here['time_home_certified_s']:.1f} s); "
             f"V shrinks by {free['contraction_first_measured']:.4f} in the first tick (certified "
             f"{found_here['contraction_first']:.4f}), then {free['contraction_rate_measured']:.4f} (certified "

@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource
 
 from diagrams.episodes.way_home import WayHome
-from diagrams.world.clearance_map import clearance_filter
+from diagrams.world.clearance_map import add_clearance_filter
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
 from diagrams.world.station import PickPlaceStation, can_body, controller_limits
@@ -96,16 +96,10 @@ class ReturnLoop:
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say
             builder.Connect(history.GetOutputPort("posture"), mixer.GetInputPort(port))
         builder.Connect(alpha.get_output_port(), mixer.GetInputPort("alpha"))
-        self._desired = self._command = mixer.GetOutputPort("desired_posture")
-        self.filter = clearance_filter(world, self.station)
-        if self.filter is not None:
-            builder.AddNamedSystem("clearance_filter", self.filter)
-            for source, name in ((history, "posture"), (mixer, "desired_posture")):
-                builder.Connect(source.GetOutputPort(name), self.filter.GetInputPort(name))
-            builder.Connect(alpha.get_output_port(), self.filter.GetInputPort("alpha"))
-            if self.filter.HasInputPort("obstacles"):
-                builder.Connect(self.station.GetOutputPort("can_poses"), self.filter.GetInputPort("obstacles"))
-            self._command = self.filter.GetOutputPort("filtered_posture")
+        self._desired = mixer.GetOutputPort("desired_posture")
+        self._command = add_clearance_filter(
+            builder, world, self.station, history.GetOutputPort("posture"), alpha.get_output_port(), self._desired
+        )
         builder.Connect(self._command, self.station.GetInputPort("desired_posture"))
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)

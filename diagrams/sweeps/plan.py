@@ -83,13 +83,7 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     names = {ENCODER} | {f"{label}.safetensors" for label in detectors if label not in UNFITTED}
     encoder_hash = Encoder(folder / ENCODER).hash
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
-    kinds, asked = _unique(arguments.disturbance), (arguments.purpose, arguments.seed, arguments.episodes)
-    blocked = arguments.way_home == "blocked"
-    seeds = {
-        kind: blocked_seeds(world, *asked, kind, arguments.workers) if blocked else episode_seeds(*asked)
-        for kind in kinds
-    }
-    tasks, hashes = [], dict[str, str]()
+    controllers, hashes = [], dict[str, str]()
     for rnn, training_seed in itertools.product(
         _by_label(network_label, arguments.rnn), _unique(arguments.training_seeds)
     ):
@@ -109,14 +103,22 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
             fitted = DETECTORS.label(detector) not in UNFITTED
             learned = learned_hash(folder, detector, policy.hash) if fitted else None
             calibration = None if gamma is None else own
-            tasks += [
-                Task(
-                    world, rnn, training_seed, detector, gamma, kind, seed, policy.hash, encoder_hash, learned,
-                    calibration, arguments.until, arguments.keep_records,
-                )
-                for kind in kinds
-                for seed in seeds[kind]
-            ]  # fmt: skip
+            controllers.append((rnn, training_seed, detector, gamma, policy.hash, learned, calibration))
+    kinds, asked = _unique(arguments.disturbance), (arguments.purpose, arguments.seed, arguments.episodes)
+    blocked = arguments.way_home == "blocked"  # a search of minutes: last
+    seeds = {
+        kind: blocked_seeds(world, *asked, kind, arguments.workers) if blocked else episode_seeds(*asked)
+        for kind in kinds
+    }
+    tasks = [
+        Task(
+            world, rnn, training_seed, detector, gamma, kind, seed, policy_hash, encoder_hash, learned, calibration,
+            arguments.until, arguments.keep_records,
+        )
+        for rnn, training_seed, detector, gamma, policy_hash, learned, calibration in controllers
+        for kind in kinds
+        for seed in seeds[kind]
+    ]  # fmt: skip
     return tasks, sorted(names)
 
 

@@ -11,6 +11,7 @@ from pydrake.geometry import (
     Cylinder,
     GeometryId,
     GeometrySet,
+    SceneGraph,
     Shape,
     Sphere,
 )
@@ -18,16 +19,20 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, RigidBody, SpatialInertia
 from pydrake.planning import LinearDistanceAndInterpolationProvider, RobotDiagramBuilder, SceneGraphCollisionChecker
+from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.primitives import ZeroOrderHold
 
 from diagrams.world.configuration import World
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CAN_RADIUS, CANS, SPOTS
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CAN_RADIUS, CANS, IN_HAND, SPOTS
 from diagrams.world.station import PickPlaceStation, add_models, controller_limits
 from diagrams.world.trajectory import X_GRASP_CAN
-from systems.clearance_filter import ClearanceFilter, Near
+from models.errors import InputError
+from systems.clearance_filter import WITHIN, ClearanceFilter, Near
 
 HELD = "held_can"
+FOOT = ("base", "link_1")  # of the arm, which the hand could meet
+CELLS = 6  # a side, of the trained area: a can may stand in each
 HAND = ("palm", "left_finger", "right_finger")
-IN_HAND = 0.03  # m: a can nearer than that to the grasp frame is in the closed hand
 POSE = 7  # numbers of a can's pose: quaternion (w, x, y, z) and position, m, world
 
 
@@ -47,14 +52,18 @@ class _Scene:
         self.cans: dict[str, RigidBody] = {}
         if possible:
             lower, upper = world.grid.bounds
-            desk = Box(*(upper - lower + 2 * CAN_RADIUS), 2 * CAN_HALF_HEIGHT)
-            centre = RigidTransform([*(0.5 * (lower + upper)), CAN_HALF_HEIGHT])
-            self.cans["desk_cans"] = _add(plant, "desk_cans", desk, plant.world_frame(), centre)
+            side = (upper - lower) / CELLS
+            cell = Box(*(side + 2 * CAN_RADIUS), 2 * CAN_HALF_HEIGHT)
+            for i, j in np.ndindex(CELLS, CELLS):
+                centre = RigidTransform([*(lower + side * (np.array([i, j]) + 0.5)), CAN_HALF_HEIGHT])
+                self.cans[f"cell_{i}_{j}"] = _add(plant, f"cell_{i}_{j}", cell, plant.world_frame(), centre)
             for spot in SPOTS:
                 X_SC = RigidTransform([0, 0, CAN_HALF_HEIGHT])
                 self.cans[spot] = _add(plant, f"{spot}_can", can, plant.GetFrameByName(f"{spot}_spot"), X_SC)
         else:
             self.cans = {name: _add(plant, name, can) for name in (CANS[1:] if held else CANS)}
+        for name in FOOT:  # they have no shapes for the physics, which nothing but the hand could touch: those drawn
+            _shape_as_drawn(plant, builder.scene_graph(), plant.GetBodyByName(name))
         plant.Finalize()
         self.arm = [plant.GetModelInstanceByName(name) for name in hand]
         self._exclude(builder, plant)
@@ -78,15 +87,20 @@ class _Scene:
         self.held = int(plant.GetBodyByName(HELD).index()) if held else None
 
     def _exclude(self, builder: RobotDiagramBuilder, plant: MultibodyPlant) -> None:
-        """Leaves pairs within the arm and within the rest out: no joint angles let the arm meet itself."""
-        sides: tuple[list[GeometryId], list[GeometryId]] = ([], [])
+        """Leaves out the pairs within the rest, and those within the arm that no joint angles let meet."""
+        arm, rest, foot, hand = list[GeometryId](), list[GeometryId](), list[GeometryId](), list[GeometryId]()
         for index in range(plant.num_bodies()):
             body = plant.get_body(BodyIndex(index))
-            sides[body.model_instance() in self.arm].extend(plant.GetCollisionGeometriesForBody(body))
-        for side in sides:
-            builder.scene_graph().collision_filter_manager().Apply(
-                CollisionFilterDeclaration().ExcludeWithin(GeometrySet(side))
-            )
+            shapes = plant.GetCollisionGeometriesForBody(body)
+            on_foot, on_hand = body.name() in FOOT, body.name() in (*HAND, HELD)
+            (foot if on_foot else arm if body.model_instance() in self.arm else rest).extend(shapes)
+            hand.extend(shapes if on_hand else [])
+        links = [shape for shape in arm if shape not in hand]
+        filters = builder.scene_graph().collision_filter_manager()
+        for side in (arm, rest, foot):
+            filters.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(side)))
+        for other in (links, rest):
+            filters.Apply(CollisionFilterDeclaration().ExcludeBetween(GeometrySet(foot), GeometrySet(other)))
 
     def reach(self) -> np.ndarray:
         """(J,) m/rad: see `systems.clearance_filter.Map`."""
@@ -98,7 +112,7 @@ class _Scene:
         extents = np.zeros(ARM_JOINTS)
         for index in range(plant.num_bodies()):
             body = plant.get_body(BodyIndex(index))
-            if body.model_instance() not in self.arm or body.name() == "base":
+            if body.model_instance() not in self.arm or body.name() in FOOT:
                 continue
             j = links.index(body) if body in links else ARM_JOINTS - 1
             X_WB = plant.EvalBodyPoseInWorld(context, body)
@@ -115,8 +129,10 @@ class ClearanceMap:
     """Distances of the arm and of what it holds to desk, shelf and cans: see `systems.clearance_filter.Map`.
 
     A can is in the hand where the fingers are commanded closed; it is not known whether they hold one. With `possible`,
-    a can may stand anywhere in the trained area of the desk and on either spot of the shelf; but one that the arm
-    overlaps is not there. Else the cans are where `obstacles` says: (14,) `can_poses` of the station, the truth.
+    a can may stand on either spot of the shelf and in each cell of the trained area of the desk; but none in a cell, or
+    on a spot, where one would overlap the arm as it is. (Another can of that cell could be there: one in CELLS^2 of the
+    area.) Else the cans are where `obstacles` says: (14,) `can_poses` of the station, the truth, as they were at the
+    tick. Of the arm's own pairs hand and held can against base and link 1 are in it; no joint angles let others meet.
     """
 
     def __init__(self, world: World, possible: bool = True):
@@ -124,6 +140,7 @@ class ClearanceMap:
         self._world, self._possible = world, possible
         self.obstacle_size = 0 if possible else POSE * len(CANS)
         self._scenes = [_Scene(world, held, possible) for held in (False, True)]
+        self._context = self._scenes[False].plant.CreateDefaultContext()  # scratch
         self.reach = self._scenes[True].reach()
 
     def view(self, posture: np.ndarray, obstacles: np.ndarray, returning: bool = True) -> "_View":
@@ -140,20 +157,32 @@ class ClearanceMap:
         return _View(scene, posture, 2 * CAN_RADIUS if closed else posture[ARM_JOINTS], returning, poses)
 
     def _in_hand(self, posture: np.ndarray, pose: np.ndarray) -> bool:
-        plant, context = self._scenes[False].plant, self._scenes[False].plant.CreateDefaultContext()
+        plant, context = self._scenes[False].plant, self._context
         plant.SetPositions(context, plant.GetModelInstanceByName("arm"), posture[:ARM_JOINTS])
         grasp = plant.GetFrameByName("grasp").CalcPoseInWorld(context).translation()
         return bool(np.linalg.norm(grasp - pose[4:]) < IN_HAND)
 
 
 def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter | None:
-    """The filter that `world.clearance` asks for; None: the way home is straight."""
+    """The filter that `world.clearance` asks for; None: the way home is straight.
+
+    Raises InputError where the arm at its initial posture is nearer than the gap to something.
+    """
     given = world.clearance
     if given.cans == "unseen":
         return None
     lower, upper, speed = controller_limits(station)
+    map = ClearanceMap(world, possible=given.cans == "possible")
+    for opening in (world.opening, world.closed_opening) if given.cans == "possible" else ():
+        home = np.append(world.initial_posture[:ARM_JOINTS], opening)
+        nearest = map.view(home, np.empty(0)).near(home[:ARM_JOINTS], WITHIN).distances.min(initial=WITHIN)
+        if nearest <= given.gap:
+            raise InputError(
+                f"world.clearance.gap {given.gap} m: at the initial posture the arm is {nearest:.3f} m from where a "
+                "can may stand, and could not come home: choose less, or another posture"
+            )
     return ClearanceFilter(
-        ClearanceMap(world, possible=given.cans == "possible"),
+        map,
         posture_size=len(lower),
         joints=ARM_JOINTS,
         lower=lower,
@@ -164,6 +193,32 @@ def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter
         rate=given.rate,
         learned_motion=given.learned_motion,
     )
+
+
+def add_clearance_filter(
+    builder: DiagramBuilder,
+    world: World,
+    station: PickPlaceStation,
+    posture: OutputPort,
+    alpha: OutputPort,
+    command: OutputPort,
+) -> OutputPort:
+    """Puts the filter that `world.clearance` asks for behind `command`; the port that the arm is to follow.
+
+    `posture`: as sampled at the tick. Raises InputError as `clearance_filter` does.
+    """
+    system = clearance_filter(world, station)
+    if system is None:
+        return command
+    builder.AddNamedSystem("clearance_filter", system)
+    for name, port in (("posture", posture), ("alpha", alpha), ("desired_posture", command)):
+        builder.Connect(port, system.GetInputPort(name))
+    if system.HasInputPort("obstacles"):  # held, so that they are those of the tick, as the posture is
+        size = system.GetInputPort("obstacles").size()
+        hold = builder.AddNamedSystem("obstacles_hold", ZeroOrderHold(world.timing.period, size))
+        builder.Connect(station.GetOutputPort("can_poses"), hold.get_input_port())
+        builder.Connect(hold.get_output_port(), system.GetInputPort("obstacles"))
+    return system.GetOutputPort("filtered_posture")
 
 
 class _View:
@@ -218,6 +273,14 @@ def _add(
     if frame is not None:
         plant.WeldFrames(frame, body.body_frame(), X_FB)
     return body
+
+
+def _shape_as_drawn(plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody) -> None:
+    """Gives `body` the shapes that are drawn of it."""
+    inspector = scene_graph.model_inspector()
+    for drawn in plant.GetVisualGeometriesForBody(body):
+        shape, X_BS = inspector.GetShape(drawn), inspector.GetPoseInFrame(drawn)
+        plant.RegisterCollisionGeometry(body, X_BS, shape, inspector.GetName(drawn), CoulombFriction(1.0, 1.0))
 
 
 def _radius(shape: Shape) -> float:

@@ -95,7 +95,7 @@ class Clearance:
 
     cans: str = "possible"  # one wherever it may stand; true: where they stand; unseen: the way is straight, no filter
     gap: float = 0.01  # distance kept, m
-    least: float = 0.005  # distance that every step is proven to keep, m
+    least: float = 0.005  # distance that the straight line to each command is proven to keep, m
     rate: float = 0.3  # share of the distance above the gap that a tick may use up
     learned_motion: bool = False  # filter the learned motion too
 

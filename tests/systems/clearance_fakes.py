@@ -27,6 +27,20 @@ class Walls:
         return Near(distances[seen], self.normals[seen], np.flatnonzero(seen))
 
 
+class Post(Walls):
+    """A round post at the origin."""
+
+    def __init__(self, radius):
+        super().__init__()
+        self.radius = radius
+
+    def near(self, joints, within):
+        length = np.linalg.norm(joints)
+        if length - self.radius >= within:
+            return super().near(joints, within)
+        return Near(np.array([length - self.radius]), joints[None] / length, np.zeros(1, int))
+
+
 class ToldWall(Walls):
     """A wall ahead in the first coordinate, at the place that the map is told."""
 

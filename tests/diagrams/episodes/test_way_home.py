@@ -55,8 +55,18 @@ def test_before_the_way_home_the_filter_changes_no_bit(runs):
 
 def test_the_filter_has_no_state(world, encoder, policy):
     rollout = Rollout(world, encoder, policy)
-    context = rollout.filter.CreateDefaultContext()
-    assert context.num_total_states() == 0
+    system = rollout.diagram.GetSubsystemByName("clearance_filter")
+    assert system.CreateDefaultContext().num_total_states() == 0
+
+
+def test_what_the_truth_says_is_that_of_the_tick(world, encoder, policy):
+    """The cans move between the ticks; what the arm is to follow does not."""
+    rollout = Rollout(replace(world, clearance=Clearance(cans="true")), encoder, policy)
+    wires = {
+        (target.get_name(), source.get_name()) for (target, _), (source, _) in rollout.diagram.connection_map().items()
+    }
+    assert ("clearance_filter", "obstacles_hold") in wires
+    assert ("clearance_filter", "station") not in wires
 
 
 def test_distances_of_scoring_by_hand(station, hand):

@@ -31,9 +31,9 @@ def certificate(world, tmp_path_factory):
 def test_certificate_is_borne_out(certificate):
     found, picture = certificate
     assert holds(found)
-    assert (found["samples_inside"], found["failures_inside"], found["left_box_inside"]) == (18, 0, 0)
+    assert (found["samples_inside"], found["failures_inside"], found["left_box_inside"]) == (10, 0, 0)
     assert (found["coverage_onsets"], found["coverage_targets"]) == (1.0, 1.0)
-    assert found["bound_inside"] == pytest.approx(1 - 0.05 ** (1 / 18))
+    assert found["bound_inside"] == pytest.approx(1 - 0.05 ** (1 / 10))
     assert (found["delay_margin_ticks"], found["delay_margin_measured_ticks"]) == (15, 16)
     for kind in KINDS:
         of_kind = found["sets"][kind]
