@@ -31,6 +31,9 @@ class View(Protocol):
     def near(self, joints: np.ndarray, within: float) -> Near:
         """The pairs nearer than `within` (m) with the arm at `joints` (J, rad)."""
 
+    def nearest(self, joints: np.ndarray, within: float, but: np.ndarray) -> float:
+        """The smallest distance there, m, at most `within`, of all pairs but those numbered in `but`."""
+
 
 class Map(Protocol):
     """What the arm knows of its surroundings."""
@@ -176,8 +179,7 @@ class ClearanceFilter(LeafSystem):
             share += (nearest - least) / max(travel, 1e-12)
             if share >= 1.0:
                 return step
-            ahead = view.near(joints + share * step, WITHIN)
-            nearest = ahead.distances[~np.isin(ahead.pairs, overlapping)].min(initial=WITHIN)
+            nearest = view.nearest(joints + share * step, WITHIN, but=overlapping)
             if nearest - least < RESOLUTION * least:
                 break
         return share * step

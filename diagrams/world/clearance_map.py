@@ -18,7 +18,12 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, RigidBody, SpatialInertia
-from pydrake.planning import LinearDistanceAndInterpolationProvider, RobotDiagramBuilder, SceneGraphCollisionChecker
+from pydrake.planning import (
+    LinearDistanceAndInterpolationProvider,
+    RobotClearance,
+    RobotDiagramBuilder,
+    SceneGraphCollisionChecker,
+)
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ZeroOrderHold
 
@@ -31,7 +36,7 @@ from systems.clearance_filter import WITHIN, ClearanceFilter, Near
 
 HELD = "held_can"
 FOOT = ("base", "link_1")  # of the arm, which the hand could meet
-CELLS = 6  # a side, of the trained area: a can may stand in each
+CELLS = 4  # a side, of the trained area: a can may stand in each
 HAND = ("palm", "left_finger", "right_finger")
 POSE = 7  # numbers of a can's pose: quaternion (w, x, y, z) and position, m, world
 
@@ -130,8 +135,7 @@ class ClearanceMap:
 
     A can is in the hand where the fingers are commanded closed; it is not known whether they hold one. With `possible`,
     a can may stand on either spot of the shelf and in each cell of the trained area of the desk; but none in a cell, or
-    on a spot, where one would overlap the arm as it is. (Another can of that cell could be there: one in CELLS^2 of the
-    area.) Else the cans are where `obstacles` says: (14,) `can_poses` of the station, the truth, as they were at the
+    on a spot, where one would overlap the arm as it is (so a can of that cell that would not is overlooked). Else the cans are where `obstacles` says: (14,) `can_poses` of the station, the truth, as they were at the
     tick. Of the arm's own pairs hand and held can against base and link 1 are in it; no joint angles let others meet.
     """
 
@@ -239,15 +243,17 @@ class _View:
         for name, body in scene.cans.items() if poses is not None else ():
             start = body.floating_positions_start()
             self._positions[start : start + POSE] = poses[name]
-        if poses is None:
+        if poses is None and self._clearance(posture[:ARM_JOINTS], 0.0).size():
             found = self._query(posture[:ARM_JOINTS], 0.0)
             overlapped = found.pairs[found.distances < 0.0] % scene.plant.num_bodies()
             self._absent = np.intersect1d(overlapped, scene.bodies)
 
-    def _query(self, joints: np.ndarray, within: float) -> Near:
-        scene = self._scene
+    def _clearance(self, joints: np.ndarray, within: float) -> RobotClearance:
         self._positions[:ARM_JOINTS] = joints
-        found = scene.checker.CalcRobotClearance(self._positions, within)
+        return self._scene.checker.CalcRobotClearance(self._positions, within)
+
+    def _query(self, joints: np.ndarray, within: float) -> Near:
+        scene, found = self._scene, self._clearance(joints, within)
         robot, other = (
             np.array([int(i) for i in side], int) for side in (found.robot_indices(), found.other_indices())
         )
@@ -262,6 +268,13 @@ class _View:
         if not self._returning:
             there &= ~(np.isin(robot, scene.hand) & np.isin(other, scene.goals)) & (robot != scene.held)
         return Near(found.distances[there], found.jacobians[there], found.pairs[there])
+
+    def nearest(self, joints: np.ndarray, within: float, but: np.ndarray) -> float:
+        """See `systems.clearance_filter.View`."""
+        if self._returning and not len(self._absent) and not len(but):  # to number the pairs takes as long as all else
+            return float(self._clearance(joints, within).distances().min(initial=within))
+        near = self.near(joints, within)
+        return float(near.distances[~np.isin(near.pairs, but)].min(initial=within))
 
 
 def _add(

@@ -26,6 +26,10 @@ class Walls:
         seen = distances < within
         return Near(distances[seen], self.normals[seen], np.flatnonzero(seen))
 
+    def nearest(self, joints, within, but):
+        near = self.near(joints, within)
+        return near.distances[~np.isin(near.pairs, but)].min(initial=within)
+
 
 class Post(Walls):
     """A round post at the origin."""
