@@ -9,6 +9,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer
 
+from diagrams.episodes.branching import BRANCH_LEVELS, Prefix
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
@@ -19,6 +20,7 @@ from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
 from diagrams.world.clearance_map import clearance_filter
 from diagrams.world.configuration import World
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import TIME_LIMIT, TaskMonitor, lifted
@@ -123,6 +125,7 @@ class Rollout:
             for system, name in (
                 (controller, "measured_posture"), (controller, "alpha"), (disturbance, "active"),
                 (self.can_mover, "taken"), (station, "can_poses"), (station, "rgb_image"), (plant, "state"),
+                (station, "approach_distance"),
             )
         }  # fmt: skip
         self.video = None
@@ -144,19 +147,30 @@ class Rollout:
         """A fresh Context of `diagram` for `episode`, at time 0; `calibration` instead of the constructor's."""
         station, given, context = self.station, episode.disturbance, self.diagram.CreateDefaultContext()
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
-        meter = station.approach_meter
-        meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
-        self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), given)
+        self._set_disturbance(context, given)
         if (used := calibration or self.calibration) is None:
             raise InputError("the detector has no calibration: give one, or run diagrams/baselines.py")
         self.controller.set_calibration(context, used.mean_errors, used.beta, used.gamma)
-        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), given)
         return context
 
-    def prepare(self, episode: Episode, calibration: Calibration | None = None) -> TaskMonitor:
-        """Puts a fresh Context for `episode` into the simulator, see `create_context`."""
+    def _set_disturbance(self, context: Context, given: DisturbanceSpec) -> None:
+        """In the root Context; its state is left alone."""
+        meter = self.station.approach_meter
+        meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
+        self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), given)
+        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), given)
+
+    def prepare(
+        self, episode: Episode, calibration: Calibration | None = None, start: Prefix | None = None
+    ) -> TaskMonitor:
+        """Puts a Context for `episode` into the simulator: a fresh one, see `create_context`, or a clone of `start`."""
         station = self.station
-        self.simulator.reset_context(self.create_context(episode, calibration))
+        if start is None:
+            self.simulator.reset_context(self.create_context(episode, calibration))
+        else:
+            context = start.context.Clone()
+            self._set_disturbance(context, episode.disturbance)
+            self.simulator.reset_context(context)
         self.simulator.Initialize()
         goal, neighbour = station.spot(episode.vacant), station.spot(other_spot(episode.vacant))
         return TaskMonitor(goal, neighbour, self.world.initial_posture, self.world.timing.period)
@@ -170,6 +184,8 @@ class Rollout:
         pictures: bool = False,
         time_limit: float = TIME_LIMIT,
         calibration: Calibration | None = None,
+        start: Prefix | None = None,
+        keep: Callable[[Prefix], object] | None = None,
     ) -> tuple[Outcome, Record]:
         """Runs `episode` to success, to its time limit, or to what `until` says; its ticks are those of the whole run.
 
@@ -178,21 +194,48 @@ class Rollout:
             pictures: keep what the camera sees every PICTURE_EVERY ticks.
             time_limit: s, plus the time disturbed.
             calibration: see `prepare`.
+            start: what the run begins with instead of tick 0: of the same scene, network and calibration.
+            keep: is given such a beginning, once, where the distance to the goal falls below BRANCH_LEVELS.
         """
         started, period = time.perf_counter(), self.world.timing.period
-        monitor = self.prepare(episode, calibration)
+        monitor = self.prepare(episode, calibration, start)
         narrator, switching = Narrator(monitor, on_event), Switching(episode.disturbance.takes_arm, period)
         root = self.simulator.get_context()
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
         judged = [ports[name] for name in JUDGED]
-        rows: dict[str, list] = {name: [] for name in ARRAYS}
+        rows: dict[str, list] = {name: [] if start is None else list(start.rows[name]) for name in ARRAYS}
+        subtask = episode.disturbance.subtask
         way_home, steps = WayHome(self.station), round(period / self.world.timing.time_step)
         success = diverged = cut = can_moved = homing = closed = False
         limit, k = round(time_limit / period), 0
+
+        def judge(k: int, taken: bool) -> bool:
+            """Tells of row k; whether the arm is at its initial posture."""
+            posture, alpha, active, cans = (rows[name][k] for name in ("posture", "alpha", "active", "can_poses"))
+            home = bool(monitor.home(posture))
+            narrator.see(k * period, posture, alpha, active, taken, cans, home)
+            switching.see(alpha, active, home)
+            return home
+
+        for k in range(0 if start is None else start.ticks):
+            judge(k, False)
+        k = 0 if start is None else start.ticks
         while k < limit + switching.ticks_disturbed and not success and not cut:
             for step in range(1, steps if homing else 0):
                 if self._advance((k - 0.5 + step / steps) * period, *ports["state"]):
                     way_home.see(root, closed)
+            # Half a plant step before the tick the plant is as the tick sees it, and no event is pending.
+            if (
+                keep is not None
+                and k
+                and self._advance(k * period - 0.5 * self.world.timing.time_step, *ports["state"])
+            ):
+                port, context = ports["approach_distance"]
+                if float(port.Eval(context)[0]) < BRANCH_LEVELS.get(subtask, -np.inf):
+                    if not switching.crossings and not switching.ticks_disturbed:
+                        before = {name: list(values) for name, values in rows.items()}
+                        keep(Prefix(root.Clone(), before, subtask, BRANCH_LEVELS[subtask]))
+                    keep = None
             # To the middle of the tick: its outputs hold from the update to the next one.
             if not self._advance((k + 0.5) * period, *ports["state"]):
                 diverged = True  # what came before is kept
@@ -206,9 +249,7 @@ class Rollout:
                 port, context = ports["rgb_image"]
                 rows["picture_ticks"].append(k)
                 rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())
-            home = bool(monitor.home(posture))
-            narrator.see(k * period, posture, alpha, active, taken[0] > 0.5, cans, home)
-            switching.see(alpha, active, home)
+            home = judge(k, taken[0] > 0.5)
             can_moved |= bool(taken[0] > 0.5)
             success = (
                 home and not active and monitor.success(cans, np.array(rows["posture"]), self.station.finger_gap(root))
