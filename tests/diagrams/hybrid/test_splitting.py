@@ -45,13 +45,20 @@ def estimate_of(found):
     return of_repetitions([r.estimate for r in found], [r.smallest for r in found])
 
 
+def within_errors(found, probability):
+    """Whether the mean is within 3.5 standard errors of the truth, and these are no large part of it."""
+    estimates = np.array([r.estimate for r in found])
+    error = estimates.std(ddof=1) / np.sqrt(len(found))
+    return abs(estimates.mean() - probability) < 3.5 * error < probability
+
+
 @pytest.mark.parametrize("probability", [1e-2, 1e-5])
 @pytest.mark.parametrize("name", ["maximum", "norm"])
 def test_known_probabilities(name, probability):
     found = runs(LEVELS[name], target_of(name, probability), 0, 12, 300)
     estimate = estimate_of(found)
-    assert estimate.value == pytest.approx(probability, rel=0.4)
-    assert estimate.low <= probability <= estimate.high
+    assert within_errors(found, probability)
+    assert estimate.low < estimate.value < estimate.high
     assert max(r.evaluations for r in found) < 15_000  # brute force: one success in 100,000
 
 
@@ -59,9 +66,7 @@ def test_known_probabilities(name, probability):
 def test_ties_and_plateaus(name, target):
     probability = float(norm.sf(target))
     found = runs(LEVELS[name], target, 1, 24, 300)
-    estimate = estimate_of(found)
-    assert estimate.value == pytest.approx(probability, rel=0.5)
-    assert estimate.low <= probability <= estimate.high
+    assert within_errors(found, probability)
     # What is counted is what stayed, not the share asked for.
     assert len({stage.share for r in found for stage in r.stages}) > 5
 
@@ -79,7 +84,7 @@ def test_estimates_are_unbiased_even_where_copies_hardly_move(name, target):
     probability = 1e-2 if name == "norm" else float(norm.sf(target))
     levels = [stage.level for stage in run(LEVELS[name], target, 0).stages]
     found = [run(LEVELS[name], target, seed, 40, moves=1, levels=levels).estimate for seed in range(1, 801)]
-    assert np.mean(found) == pytest.approx(probability, abs=3.5 * np.std(found) / np.sqrt(len(found)))
+    assert abs(np.mean(found) - probability) < 3.5 * np.std(found) / np.sqrt(len(found))
 
 
 def test_a_level_that_says_nothing_is_brute_force():
