@@ -23,9 +23,8 @@ def save_defeat(found: dict[str, dict[str, Any]], path: Path) -> None:
             climb.plot(*np.reshape(shown, (-1, 2)).T, color=COLOURS[kind], marker=".", lw=1, label=None if i else kind)
         if (brute := entry["report"]["brute"]) is not None:
             low, high = brute["interval"]
-            climb.plot(
-                [1.02, 1.02], [max(low, 1e-6), high], color=COLOURS[kind], lw=4, alpha=0.4, solid_capstyle="butt"
-            )
+            at = 1.03 if kind == "A" else 1.06
+            climb.plot([at, at], [max(low, 1e-6), high], color=COLOURS[kind], lw=4, alpha=0.4, solid_capstyle="butt")
     climb.set(yscale="log", xlabel="severity (1: defeated)", ylabel="probability of more")
     climb.set_title("each line a repetition; bars: brute force", fontsize=9)
     climb.legend()
@@ -42,5 +41,5 @@ def save_defeat(found: dict[str, dict[str, Any]], path: Path) -> None:
                 points = np.reshape(chosen, (-1, 2)).T
                 axis.plot(*points, mark, ls="", color=colour, markerfacecolor=fill, ms=5, label=word)
         axis.set(xlabel="begins so far from the goal (cm)", ylabel=label, title=f"disturbance {kind}")
-        axis.legend(fontsize=7)
+        axis.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     save(figure, path)

@@ -40,8 +40,8 @@ class Defeat(NetworkArguments):
     """The probability that a disturbance defeats the switched controller, by splitting and by brute force."""
 
     kinds: tuple[str, ...] = ("A", "B")
-    population: int = 60  # episodes of a repetition at a time
-    kept: float = 0.3  # share of them that stays, a stage of the pilot
+    population: int = 40  # episodes of a repetition at a time
+    kept: float = 0.2  # share of them that stays, a stage of the pilot
     moves: int = 1  # of each, a stage
     repetitions: int = 4  # independent, beside the pilot, for the interval
     brute: int = 0  # episodes of brute force, a kind; 0: none
