@@ -9,11 +9,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer
 
-from diagrams.episodes.branching import BRANCH_LEVELS, Prefix
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.narrator import Narrator
+from diagrams.episodes.prefix import BRANCH_LEVELS, Prefix
 from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
@@ -165,12 +165,9 @@ class Rollout:
     ) -> TaskMonitor:
         """Puts a Context for `episode` into the simulator: a fresh one, see `create_context`, or a clone of `start`."""
         station = self.station
-        if start is None:
-            self.simulator.reset_context(self.create_context(episode, calibration))
-        else:
-            context = start.context.Clone()
-            self._set_disturbance(context, episode.disturbance)
-            self.simulator.reset_context(context)
+        context = self.create_context(episode, calibration) if start is None else start.context.Clone()
+        self._set_disturbance(context, episode.disturbance)
+        self.simulator.reset_context(context)
         self.simulator.Initialize()
         goal, neighbour = station.spot(episode.vacant), station.spot(other_spot(episode.vacant))
         return TaskMonitor(goal, neighbour, self.world.initial_posture, self.world.timing.period)
@@ -204,10 +201,9 @@ class Rollout:
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
         judged = [ports[name] for name in JUDGED]
         rows: dict[str, list] = {name: [] if start is None else list(start.rows[name]) for name in ARRAYS}
-        subtask = episode.disturbance.subtask
         way_home, steps = WayHome(self.station), round(period / self.world.timing.time_step)
         success = diverged = cut = can_moved = homing = closed = False
-        limit, k = round(time_limit / period), 0
+        limit, k = round(time_limit / period), 0 if start is None else start.ticks
 
         def judge(k: int, taken: bool) -> bool:
             """Tells of row k; whether the arm is at its initial posture."""
@@ -217,9 +213,8 @@ class Rollout:
             switching.see(alpha, active, home)
             return home
 
-        for k in range(0 if start is None else start.ticks):
-            judge(k, False)
-        k = 0 if start is None else start.ticks
+        for earlier in range(k):
+            judge(earlier, False)
         while k < limit + switching.ticks_disturbed and not success and not cut:
             for step in range(1, steps if homing else 0):
                 if self._advance((k - 0.5 + step / steps) * period, *ports["state"]):
@@ -231,10 +226,9 @@ class Rollout:
                 and self._advance(k * period - 0.5 * self.world.timing.time_step, *ports["state"])
             ):
                 port, context = ports["approach_distance"]
-                if float(port.Eval(context)[0]) < BRANCH_LEVELS.get(subtask, -np.inf):
+                if float(port.Eval(context)[0]) < BRANCH_LEVELS.get(episode.disturbance.subtask, -np.inf):
                     if not switching.crossings and not switching.ticks_disturbed:
-                        before = {name: list(values) for name, values in rows.items()}
-                        keep(Prefix(root.Clone(), before, subtask, BRANCH_LEVELS[subtask]))
+                        keep(Prefix.taken(root, rows, episode.disturbance.subtask))
                     keep = None
             # To the middle of the tick: its outputs hold from the update to the next one.
             if not self._advance((k + 0.5) * period, *ports["state"]):

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagrams.episodes.branching import BRANCH_LEVELS, SCENES, Branches, Prefix
+from diagrams.episodes.branching import SCENES, Branches
 from diagrams.episodes.episode import Episode
+from diagrams.episodes.prefix import BRANCH_LEVELS, Prefix
 from diagrams.episodes.record import record_hash
 from diagrams.episodes.sampling import ONSET_LEVELS
 from diagrams.world.disturbance import DisturbanceSpec
