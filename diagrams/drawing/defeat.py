@@ -38,8 +38,9 @@ def save_defeat(found: dict[str, dict[str, Any]], path: Path) -> None:
                     if (given := case.episode.disturbance).subtask == subtask and (case.level >= 1.0) == defeated
                 ]
                 word = f"{'defeated' if defeated else 'withstood'}, subtask {subtask} ({len(chosen)})"
-                points = np.reshape(chosen, (-1, 2)).T
-                axis.plot(*points, mark, ls="", color=colour, markerfacecolor=fill, ms=5, label=word)
+                axis.plot(
+                    *np.reshape(chosen, (-1, 2)).T, mark, ls="", color=colour, markerfacecolor=fill, ms=5, label=word
+                )
         axis.set(xlabel="begins so far from the goal (cm)", ylabel=label, title=f"disturbance {kind}")
         axis.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     save(figure, path)

@@ -132,12 +132,12 @@ class Climb:
         kernel = Kernel(list(blocks.values()), chances)
         with tqdm(desc=self._title, unit="episode", disable=None) as bar:
 
-            def evaluate(points: np.ndarray) -> list[float]:
+            def evaluate(points: np.ndarray) -> np.ndarray:
                 episodes = [self._space.episode(point) for point in points]
                 run = iter(self._cases.run([episode for episode in episodes if episode is not None], bar))
                 new = [None if episode is None else next(run) for episode in episodes]
                 self.seen += new
-                return [-np.inf if case is None else case.level for case in new]
+                return np.array([-np.inf if case is None else case.level for case in new])
 
             return split(
                 evaluate, kernel, self._space.size, DEFEATED, population=population, kept=kept, moves=moves, rng=rng,

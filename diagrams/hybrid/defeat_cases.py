@@ -53,11 +53,13 @@ class Case:
 
 def run_case(job: tuple[Job, float, bool]) -> Case:
     """In a worker: the job's episode, with gamma, and whether it may begin with a clone."""
-    job_, gamma, branch = job
-    assert job_.episode is not None
+    given, gamma, branch = job
+    assert given.episode is not None
     if branch:
-        return Case.of(job_.episode, *run_branched(job_), gamma)
-    return Case.of(job_.episode, *run_episode(job_), 0, gamma)
+        outcome, record, saved = run_branched(given)
+    else:
+        (outcome, record), saved = run_episode(given), 0
+    return Case.of(given.episode, outcome, record, saved, gamma)
 
 
 class Cases:

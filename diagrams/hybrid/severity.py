@@ -35,7 +35,7 @@ def severity(outcome: Outcome, record: Record, gamma: float) -> float:
     assert outcome.return_s is not None  # it has returned and resumed, or it is a defeat
     assert outcome.resume_s is not None
     resumed = end + round((outcome.return_s + outcome.resume_s) / period)
-    normal = np.append(worst[: active[0]], worst[resumed:])
+    normal: np.ndarray = np.append(worst[: active[0]], worst[resumed:])
     largest = float(np.max(normal, initial=0.0)) / gamma
     near = max(1.0 - margin(outcome, record, len(active) * period, period, gamma), largest**NORMAL_POWER)
     return min(near, JUST_WITHSTOOD)
