@@ -13,7 +13,8 @@ from models.command_line import ROOT
 ROOMS: tuple[str, ...] = (
     "sdf", "systems", "diagrams/world", "models/inference.py", "models/files", "models/data/scaling.py",
     "models/data/windows.py", *(f"diagrams/episodes/{name}.py" for name in (
-        "calibration", "episode", "record", "rollout", "runner", "sampling", "switching",
+        "branching", "calibration", "episode", "prefix", "record", "rollout", "runner", "sampling", "space",
+        "switching",
     )),
 )  # fmt: skip
 

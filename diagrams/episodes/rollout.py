@@ -13,12 +13,14 @@ from diagrams.episodes.calibration import RECALL, Calibration, stored_calibratio
 from diagrams.episodes.compatibility import require_trained_for
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.narrator import Narrator
+from diagrams.episodes.prefix import BRANCH_LEVELS, Prefix
 from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
 from diagrams.world.clearance_map import add_clearance_filter
 from diagrams.world.configuration import World
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import TIME_LIMIT, TaskMonitor, lifted
@@ -120,6 +122,7 @@ class Rollout:
             for system, name in (
                 (controller, "measured_posture"), (controller, "alpha"), (disturbance, "active"),
                 (self.can_mover, "taken"), (station, "can_poses"), (station, "rgb_image"), (plant, "state"),
+                (station, "approach_distance"),
             )
         }  # fmt: skip
         self.video = None
@@ -141,19 +144,27 @@ class Rollout:
         """A fresh Context of `diagram` for `episode`, at time 0; `calibration` instead of the constructor's."""
         station, given, context = self.station, episode.disturbance, self.diagram.CreateDefaultContext()
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
-        meter = station.approach_meter
-        meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
-        self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), given)
+        self._set_disturbance(context, given)
         if (used := calibration or self.calibration) is None:
             raise InputError("the detector has no calibration: give one, or run diagrams/baselines.py")
         self.controller.set_calibration(context, used.mean_errors, used.beta, used.gamma)
-        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), given)
         return context
 
-    def prepare(self, episode: Episode, calibration: Calibration | None = None) -> TaskMonitor:
-        """Puts a fresh Context for `episode` into the simulator, see `create_context`."""
+    def _set_disturbance(self, context: Context, given: DisturbanceSpec) -> None:
+        """In the root Context; its state is left alone."""
+        meter = self.station.approach_meter
+        meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
+        self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), given)
+        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), given)
+
+    def prepare(
+        self, episode: Episode, calibration: Calibration | None = None, start: Prefix | None = None
+    ) -> TaskMonitor:
+        """Puts a Context for `episode` into the simulator: a fresh one, see `create_context`, or a clone of `start`."""
         station = self.station
-        self.simulator.reset_context(self.create_context(episode, calibration))
+        context = self.create_context(episode, calibration) if start is None else start.context.Clone()
+        self._set_disturbance(context, episode.disturbance)
+        self.simulator.reset_context(context)
         self.simulator.Initialize()
         goal, neighbour = station.spot(episode.vacant), station.spot(other_spot(episode.vacant))
         return TaskMonitor(goal, neighbour, self.world.initial_posture, self.world.timing.period)
@@ -167,6 +178,8 @@ class Rollout:
         pictures: bool = False,
         time_limit: float = TIME_LIMIT,
         calibration: Calibration | None = None,
+        start: Prefix | None = None,
+        keep: Callable[[Prefix], object] | None = None,
     ) -> tuple[Outcome, Record]:
         """Runs `episode` to success, to its time limit, or to what `until` says; its ticks are those of the whole run.
 
@@ -175,18 +188,43 @@ class Rollout:
             pictures: keep what the camera sees every PICTURE_EVERY ticks.
             time_limit: s, plus the time disturbed.
             calibration: see `prepare`.
+            start: what the run begins with instead of tick 0: of the same scene, network and calibration.
+            keep: is given such a beginning, once, where the distance to the goal falls below BRANCH_LEVELS.
         """
         started, period = time.perf_counter(), self.world.timing.period
-        monitor = self.prepare(episode, calibration)
+        monitor = self.prepare(episode, calibration, start)
         narrator, switching = Narrator(monitor, on_event), Switching(episode.disturbance.takes_arm, period)
         root = self.simulator.get_context()
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
         judged = [ports[name] for name in JUDGED]
-        rows: dict[str, list] = {name: [] for name in ARRAYS}
+        rows: dict[str, list] = {name: [] if start is None else list(start.rows[name]) for name in ARRAYS}
         way_home = WayHome(self.station)
         success = diverged = cut = can_moved = homing = False
-        limit, k = round(time_limit / period), 0
+        limit, k = round(time_limit / period), 0 if start is None else start.ticks
+
+        def judge(k: int, taken: bool) -> bool:
+            """Tells of row k; whether the arm is at its initial posture."""
+            posture, alpha, active, cans = (rows[name][k] for name in ("posture", "alpha", "active", "can_poses"))
+            home = bool(monitor.home(posture))
+            narrator.see(k * period, posture, alpha, active, taken, cans, home)
+            switching.see(alpha, active, home)
+            return home
+
+        for earlier in range(k):
+            judge(earlier, False)
         while k < limit + switching.ticks_disturbed and not success and not cut:
+            # Half a plant step before the tick the plant is as the tick sees it, and no event is pending.
+            if (
+                keep is not None
+                and k
+                and not homing
+                and self._advance(k * period - 0.5 * self.world.timing.time_step, *ports["state"])
+            ):
+                port, context = ports["approach_distance"]
+                if float(port.Eval(context)[0]) < BRANCH_LEVELS.get(episode.disturbance.subtask, -np.inf):
+                    if not switching.crossings and not switching.ticks_disturbed:
+                        keep(Prefix.taken(root, rows, episode.disturbance.subtask))
+                    keep = None
             # To the middle of the tick: its outputs hold from the update to the next one.
             if not self._to_middle(k, homing, way_home, ports):
                 diverged = True  # what came before is kept
@@ -200,9 +238,7 @@ class Rollout:
                 port, context = ports["rgb_image"]
                 rows["picture_ticks"].append(k)
                 rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())
-            home = bool(monitor.home(posture))
-            narrator.see(k * period, posture, alpha, active, taken[0] > 0.5, cans, home)
-            switching.see(alpha, active, home)
+            home = judge(k, taken[0] > 0.5)
             can_moved |= bool(taken[0] > 0.5)
             success = (
                 home and not active and monitor.success(cans, np.array(rows["posture"]), self.station.finger_gap(root))

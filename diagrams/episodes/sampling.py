@@ -31,7 +31,7 @@ LIMIT_MARGIN = np.deg2rad(2.0)
 CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
 MOVED_BY = (0.03, 0.06)  # how far a can is moved while the hand approaches it, m
 # Seeds of one purpose never meet those of another: see episode_seeds.
-SEED_BASE = {"validation": 1_000_000, "evaluation": 2_000_000, "certificate": 3_000_000}
+SEED_BASE = {"validation": 1_000_000, "evaluation": 2_000_000, "certificate": 3_000_000, "defeat": 4_000_000}
 SEEDS_APART, SEED_BLOCKS = 10_000, 100
 
 
@@ -53,7 +53,7 @@ def episode_seeds(purpose: str, seed: int, count: int) -> list[int]:
 
 
 @dataclass(frozen=True)
-class _Approach:
+class Approach:
     """The demonstrated motion of a subtask: joint angles (n, 7) rad, distance to the goal (n,) m, where in words."""
 
     joints: np.ndarray
@@ -130,7 +130,7 @@ class EpisodeSampler:
         """
         given = episode.disturbance
         assert given.level is not None
-        return self._approach(given.subtask, episode.can_xy, episode.vacant).joints_at(given.level)
+        return self.approach(given.subtask, episode.can_xy, episode.vacant).joints_at(given.level)
 
     def require_reachable(self, can_xy: Sequence[float]) -> None:
         """Raises InputError unless the hand can hover over, grasp and lift a can at `can_xy` (m, world)."""
@@ -149,16 +149,19 @@ class EpisodeSampler:
     def unlearned_position(self, rng: np.random.Generator) -> XY:
         """World x, y (m) in the trained positions' convex hull, 1.0 to 2.0 cm from the nearest of them."""
         lower, upper = self._world.grid.bounds
-        trained = self._world.grid.training_positions()
         for _ in range(10_000):
             xy = rng.uniform(lower, upper)
-            distance = np.linalg.norm(trained - xy, axis=1).min()
-            if UNLEARNED[0] <= distance <= UNLEARNED[1] and self._trained_area.PointInSet(xy):
+            if self.unlearned(xy):
                 return float(xy[0]), float(xy[1])
         raise InputError(
             f"no place of the trained area is {UNLEARNED[0]} to {UNLEARNED[1]} m from the trained positions: "
             f"raise world.grid.spacing ({self._world.grid.spacing} m) or count ({self._world.grid.count})"
         )
+
+    def unlearned(self, xy: np.ndarray) -> bool:
+        """Whether a can may stand at `xy` (2,), m, world: see `unlearned_position`."""
+        distance = np.linalg.norm(self._world.grid.training_positions() - xy, axis=1).min()
+        return bool(UNLEARNED[0] <= distance <= UNLEARNED[1] and self._trained_area.PointInSet(xy))
 
     def _disturbance(
         self, rng: np.random.Generator, kind: str, can_xy: XY, vacant: str
@@ -174,7 +177,7 @@ class EpisodeSampler:
         level = float(rng.uniform(*ONSET_LEVELS[subtask]))
         if kind == MOVED:
             return DisturbanceSpec(MOVED, level, subtask=1, can_moved_to=list(self._moved(rng, can_xy))), None
-        approach = self._approach(subtask, can_xy, vacant)
+        approach = self.approach(subtask, can_xy, vacant)
         start = approach.joints_at(level)
         if kind == "B":
             given, left_at = DisturbanceSpec("B", level, None, hold, subtask, list(elsewhere) if taken else None), start
@@ -183,9 +186,13 @@ class EpisodeSampler:
             given = DisturbanceSpec("A", level, left_at.tolist(), HELD_TICKS, subtask)
         else:
             raise InputError(f"there is no disturbance '{kind}': choose none, A, B or {MOVED}")
-        if given.can_moved_to is not None:
-            self._checker.set_scene(elsewhere, vacant, self._world.closed_opening)  # it goes home without the can
-        return given, self._checker.path_touches(left_at, self._home) is None
+        return given, self.way_home_clear(given, left_at, vacant)
+
+    def way_home_clear(self, given: DisturbanceSpec, left_at: np.ndarray, vacant: str) -> bool:
+        """Whether the straight way home from `left_at` (7, rad) is clear, in the scene of the last `approach`."""
+        if given.can_moved_to is not None:  # it goes home without the can
+            self._checker.set_scene(given.can_moved_to, vacant, self._world.closed_opening)
+        return self._checker.path_touches(left_at, self._home) is None
 
     def _moved(self, rng: np.random.Generator, can_xy: XY) -> XY:
         """World x, y (m) MOVED_BY from `can_xy`, in the trained positions' convex hull."""
@@ -199,7 +206,8 @@ class EpisodeSampler:
             "choose another place with --can"
         )
 
-    def _approach(self, subtask: int, can_xy: XY, vacant: str) -> _Approach:
+    def approach(self, subtask: int, can_xy: XY, vacant: str) -> Approach:
+        """The demonstrated motion in that scene, which from then on is the one that `comes_freely` asks about."""
         self._checker.set_scene(can_xy if subtask == 1 else None, vacant, self._world.opening)
         centre = np.array([*can_xy, CAN_HALF_HEIGHT]) if subtask == 1 else self._checker.spot(vacant)
         joints = subtask_commands(self._world, self._hand, centre, subtask)[:, :ARM_JOINTS]
@@ -207,22 +215,28 @@ class EpisodeSampler:
         offset = [0, 0, 0] if subtask == 1 else [0, 0, -GRASP_ABOVE_CENTRE]
         distances = [np.linalg.norm(self._hand.grasp_position(row) + offset - centre) for row in joints]
         where = f"subtask {subtask} with the can at ({can_xy[0]:.3f}, {can_xy[1]:.3f}) m, the {vacant} spot vacant"
-        return _Approach(joints, np.array(distances), where)
+        return Approach(joints, np.array(distances), where)
 
-    def _deflected(self, rng: np.random.Generator, start: np.ndarray, approach: _Approach) -> np.ndarray:
+    def _deflected(self, rng: np.random.Generator, start: np.ndarray, approach: Approach) -> np.ndarray:
         """(7,) rad: several joints 15 to 40 deg off `start`; sampled again until the path there is clear."""
-        lower, upper = self._hand.lower + LIMIT_MARGIN, self._hand.upper - LIMIT_MARGIN
         for _ in range(2000):
             count = rng.integers(*DEFLECTED_JOINTS, endpoint=True)
             joints = rng.choice(ARM_JOINTS, size=count, replace=False)
             offset = np.zeros(ARM_JOINTS)
             offset[joints] = rng.choice([-1.0, 1.0], size=count) * np.deg2rad(rng.uniform(*DEFLECTION_DEG, size=count))
             target = start + offset
-            if np.any(target < lower) or np.any(target > upper):
-                continue
-            if self._checker.path_touches(start, target) is None:
+            if self.comes_freely(start, target):
                 return target
         raise InputError(
             f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found to which the arm comes "
             f"freely, in {approach.where}: give disturbance.target"
         )
+
+    def comes_freely(self, start: np.ndarray, target: np.ndarray) -> bool:
+        """Whether the arm can be moved from `start` to `target` (7, rad) within its limits, and touches nothing.
+
+        In the scene of the last `approach`.
+        """
+        lower, upper = self._hand.lower + LIMIT_MARGIN, self._hand.upper - LIMIT_MARGIN
+        within = np.all(target >= lower) and np.all(target <= upper)
+        return bool(within) and self._checker.path_touches(start, target) is None

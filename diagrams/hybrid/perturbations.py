@@ -142,6 +142,11 @@ def judge(
     failure = outcome.switch_failure
     if failure in DEFEATS and not (failure == "not detected" and outcome.success):
         return failure, perturbation.magnitude
+    return None, 1.0 + margin(outcome, record, perturbation.ticks * period, period, gamma)
+
+
+def margin(outcome: Outcome, record: Record, seconds: float, period: float, gamma: float) -> float:
+    """How far a run is from a defeat, in [0, 1]; `seconds`: how long it is disturbed, s; others as of `judge`."""
     margins = [1.0]
     active = np.flatnonzero(record.active)
     if len(active):
@@ -154,10 +159,10 @@ def judge(
             first = int(away[away >= active[0]][0])
             margins.append(_decades(worst[first : home + 1].min(), gamma))
     if outcome.detection_delay_s is not None:
-        margins.append(1.0 - outcome.detection_delay_s / (perturbation.ticks * period))
+        margins.append(1.0 - outcome.detection_delay_s / seconds)
     if outcome.resume_s is not None:
         margins.append(1.0 - outcome.resume_s / RESUME_SECONDS)
-    return None, 1.0 + float(np.clip(min(margins), 0.0, 1.0))
+    return float(np.clip(min(margins), 0.0, 1.0))
 
 
 def _decades(error: float, gamma: float) -> float:

@@ -1,9 +1,13 @@
 """The pictures of the analyses, from numbers made by hand: their words, and what is drawn."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from diagrams.drawing import automaton, falsification, guard, return_certificate, spectra
+from diagrams.drawing import automaton, defeat, falsification, guard, return_certificate, spectra
+from diagrams.episodes.episode import Episode
+from diagrams.world.disturbance import DisturbanceSpec
 
 
 @pytest.fixture
@@ -92,3 +96,24 @@ def test_certificate(drawn):
     assert middle.lines[0].get_ydata() == pytest.approx(falls[5:])
     assert middle.lines[1].get_ydata()[:3] == pytest.approx([1.0, 0.5, 0.25])
     assert right.get_xlim()[1] > 1.2  # one that lies outside is seen
+
+
+def test_defeat(drawn):
+    def case(kind, level, subtask, hold, moved):
+        given = DisturbanceSpec(kind, 0.05 + 0.01 * hold / 5, None, hold, subtask)
+        return SimpleNamespace(episode=Episode(0, (0.5, 0.0), "left", given), level=level, moved_deg=moved)
+
+    def entry(kind, brute):
+        stages = [{"level": 0.4, "share": 0.3}, {"level": 0.7, "share": 0.3}]
+        runs = [{"estimate": 0.01, "stages": stages}, {"estimate": 0.0, "stages": stages}]
+        cases = [case(kind, 1.0, 2, 20, 60.0), case(kind, 0.5, 1, 15, 40.0), case(kind, 1.0, 2, 25, 70.0)]
+        return {"report": {"repetitions": runs, "brute": brute}, "cases": cases}
+
+    found = {"A": entry("A", None), "B": entry("B", {"interval": [0.0, 0.05]})}
+    words, (climb, moves, stops) = drawn(defeat, "save_defeat", found)
+    for word in ("defeated, subtask 2 (2)", "withstood, subtask 1 (1)", "disturbance A", "stop (ticks)"):
+        assert f"<!-- {word} -->" in words
+    assert climb.lines[0].get_xydata() == pytest.approx(np.array([[0.4, 0.3], [0.7, 0.09], [1.0, 0.01]]))
+    assert len(climb.lines[1].get_xydata()) == 2  # an extinct one ends where it ended
+    assert moves.lines[-1].get_xydata() == pytest.approx(np.array([[9.0, 60.0], [10.0, 70.0]]))
+    assert stops.lines[-1].get_ydata() == pytest.approx([20.0, 25.0])

@@ -1,0 +1,209 @@
+"""The probability that a disturbance of the stated distribution defeats the switched controller.
+
+The distribution is that of EpisodeSampler, each scene random. The closed loop is deterministic, so all that is random
+is the input: splitting.py, over the coordinates of diagrams/episodes/space.py, with the level of severity.py. Brute
+force, by the sampler's own seeds, is the check.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from tqdm import tqdm
+
+from diagrams.episodes.calibration import Controller
+from diagrams.episodes.fingerprint import fingerprint
+from diagrams.episodes.pool import Pool
+from diagrams.episodes.runner import Job
+from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
+from diagrams.episodes.space import EpisodeSpace
+from diagrams.episodes.store import RowStore
+from diagrams.hybrid.common import NetworkArguments
+from diagrams.hybrid.defeat_cases import Case, Cases
+from diagrams.hybrid.defeat_report import clusters, plain
+from diagrams.hybrid.estimates import of_count, of_repetitions
+from diagrams.hybrid.falsification import scenario_of
+from diagrams.hybrid.severity import DEFEATED
+from diagrams.hybrid.splitting import Kernel, Splitting, require_sizes, split
+from diagrams.world.configuration import World
+from diagrams.world.names import WEIGHTS
+from diagrams.world.scenario import save_scenario
+from models.errors import InputError
+
+SCENE_MOVES, BLOCK_MOVES = 0.25, 0.5  # chances that a move changes the scene, and each other block
+ALIKE = 3  # branched episodes that are run again from tick 0, a kind
+
+
+@dataclass
+class Defeat(NetworkArguments):
+    """The probability that a disturbance defeats the switched controller, by splitting and by brute force."""
+
+    kinds: tuple[str, ...] = ("A", "B")
+    population: int = 40  # episodes of a repetition at a time
+    kept: float = 0.2  # share of them that stays, a stage of the pilot
+    moves: int = 1  # of each, a stage
+    repetitions: int = 4  # independent, beside the pilot, for the interval
+    brute: int = 0  # episodes of brute force, a kind; 0: none
+    branch: bool = True  # begin episodes of a known scene with a clone of its undisturbed ticks
+    workers: int = 2
+
+    LEAST: ClassVar[dict[str, int]] = {"repetitions": 2, "brute": 0, "workers": 0}
+
+    def check(self) -> None:
+        """Raises InputError also for sizes that make no run, and for kinds that take no arm."""
+        super().check()
+        require_sizes(self.population, self.kept, self.moves)
+        if not self.kinds or len(set(self.kinds)) != len(self.kinds) or not set(self.kinds) <= {"A", "B"}:
+            raise InputError(f"--kinds {' '.join(self.kinds)} is no choice of A and B: give one or both of them")
+
+    def run(self) -> int:
+        """Estimates; returns 0 if no estimate contradicts brute force, else 1."""
+        from diagrams.drawing.defeat import save_defeat
+        from models.inference import Encoder, Policy
+
+        world, encoder, policy = self.world(), Encoder(self.encoder_path), Policy(self.policy_path)
+        if policy.gamma is None:
+            raise InputError(f"{self.policy_path} has no calibration: run diagrams/calibrate.py on it")
+        chosen = {"weights": policy.hash, "encoder": encoder.hash, "branch": self.branch}
+        identity = fingerprint(world, "diagrams/hybrid", **chosen)
+        job = Job(world, self.encoder_path, Controller(self.policy_path))
+        found: dict[str, dict[str, Any]] = {}
+        with RowStore(self.out / "defeat_cases.jsonl", identity) as store, Pool(self.workers) as pool:
+            cases = Cases(job, float(policy.gamma), self.branch, store, pool)
+            for kind in self.kinds:
+                found[kind] = self._of_kind(kind, world, cases, policy.name)
+        sizes = {name: getattr(self, name) for name in ("population", "kept", "moves", "repetitions")}
+        self.write("defeat", sizes | {"kinds": {kind: entry["report"] for kind, entry in found.items()}})
+        save_defeat(found, self.out / "defeat.png")
+        for kind, entry in found.items():
+            print(words(kind, entry["report"]))
+        return 1 if any(entry["report"]["overlap"] is False for entry in found.values()) else 0
+
+    def _of_kind(self, kind: str, world: World, cases: Cases, rnn: str) -> dict[str, Any]:
+        space = EpisodeSpace(world, kind, rnn)
+        runs, seen, levels = list[Splitting](), list[list[Case | None]](), None
+        for number in range(self.repetitions + 1):
+            title = f"{kind}, repetition {number} of {self.repetitions}" if number else f"{kind}, pilot"
+            climb = Climb(space, cases, title)
+            rng = np.random.default_rng([self.seed, "AB".index(kind), number])
+            runs.append(climb.run(self.population, self.kept, self.moves, rng, levels))
+            seen.append(climb.seen)
+            levels = [stage.level for stage in runs[0].stages]
+        by_brute = self._by_brute(kind, world, cases, rnn) if self.brute else []
+        drawn = [case for entry in seen for case in entry[: self.population] if case is not None] + by_brute
+        distinct = list({repr(case.episode): case for entry in seen for case in entry if case is not None}.values())
+        everything = {repr(case.episode): case for case in (*distinct, *by_brute)}.values()
+        defeats = [case for case in everything if case.level >= DEFEATED]
+        branched = [case for case in distinct if case.saved]
+        result = report(runs, seen, distinct, by_brute) | {
+            "same_bits": {"of": len(branched[:ALIKE]), "same": sum(cases.again(case) for case in branched[:ALIKE])},
+            "counterexamples": [plain(case) for case in defeats],
+            **clusters(defeats, drawn),
+        }
+        for number, cluster in enumerate(result["clusters"], start=1):
+            case = defeats[cluster["example"]]
+            cluster["file"] = f"defeat-{kind}-{number}.yaml"
+            scenario = scenario_of(world, case.episode, self.rnn, case.episode.disturbance)
+            elsewhere = "" if self.weights == WEIGHTS else " --weights DIR"
+            comments = [cluster["words"], f"python diagrams/pick_place.py --scenario {cluster['file']}{elsewhere}"]
+            save_scenario(self.out / cluster["file"], scenario, comments)
+        return {"report": result, "cases": list(everything)}
+
+    def _by_brute(self, kind: str, world: World, cases: Cases, rnn: str) -> list[Case]:
+        sampler, seeds = EpisodeSampler(world), episode_seeds("defeat", self.seed, self.brute)
+        with tqdm(total=len(seeds), desc=f"{kind}, brute force", unit="episode", disable=None) as bar:
+            return cases.run([sampler.sample(seed, kind, rnn=rnn) for seed in seeds], bar)
+
+
+class Climb:
+    """One repetition: from points to the levels of their episodes; `seen`: the case of each evaluation."""
+
+    def __init__(self, space: EpisodeSpace, cases: Cases, title: str):
+        self._space, self._cases, self._title = space, cases, title
+        self.seen: list[Case | None] = []  # None: no episode
+
+    def run(
+        self, population: int, kept: float, moves: int, rng: np.random.Generator, levels: list[float] | None
+    ) -> Splitting:
+        """See `split`."""
+        blocks = self._space.blocks
+        chances = [SCENE_MOVES if name == "scene" else BLOCK_MOVES for name in blocks]
+        kernel = Kernel(list(blocks.values()), chances)
+        with tqdm(desc=self._title, unit="episode", disable=None) as bar:
+
+            def evaluate(points: np.ndarray) -> np.ndarray:
+                episodes = [self._space.episode(point) for point in points]
+                run = iter(self._cases.run([episode for episode in episodes if episode is not None], bar))
+                new = [None if episode is None else next(run) for episode in episodes]
+                self.seen += new
+                return np.array([-np.inf if case is None else case.level for case in new])
+
+            return split(
+                evaluate, kernel, self._space.size, DEFEATED, population=population, kept=kept, moves=moves, rng=rng,
+                levels=levels,
+                on_stage=lambda stage: bar.set_postfix_str(f"level {stage.level:.3f}"),
+            )  # fmt: skip
+
+
+def report(
+    runs: Sequence[Splitting], seen: Sequence[Sequence[Case | None]], distinct: Sequence[Case], brute: Sequence[Case]
+) -> dict[str, Any]:
+    """Plain types: the estimates of defeats and of failed tasks, and what they cost.
+
+    `runs`: the pilot first, which only the costs count; `seen`: of each run the case of each evaluation; `distinct`:
+    each of them once; `brute`: of brute force.
+    """
+    repetitions, smallest = runs[1:], [run.smallest for run in runs[1:]]
+    switching = of_repetitions([run.estimate for run in repetitions], smallest)
+    failed = [
+        sum(weight for number, weight in run.weights if (case := cases[number]) is not None and _task_failed(case))
+        for run, cases in zip(repetitions, seen[1:], strict=True)
+    ]
+    task = of_repetitions(failed, smallest)
+    found = switching.plain() | {
+        "episodes": len(distinct),
+        "evaluations": sum(run.evaluations for run in runs),
+        "defeats_found": sum(case.level >= DEFEATED for case in distinct),
+        "without_episode": sum(case is None for cases in seen for case in cases),
+        "ticks": {"all": sum(case.ticks for case in distinct), "saved": sum(case.saved for case in distinct)},
+        "repetitions": [
+            {"estimate": run.estimate, "extinct": run.extinct, "evaluations": run.evaluations,
+             "stages": [asdict(stage) for stage in run.stages]} for run in repetitions
+        ],
+        "levels": [stage.level for stage in runs[0].stages],
+        "task": task.plain(), "brute": None, "overlap": None,
+    }  # fmt: skip
+    if brute:
+        counted = of_count(sum(case.level >= DEFEATED for case in brute), len(brute))
+        tasks = of_count(sum(map(_task_failed, brute)), len(brute))
+        found["brute"] = counted.plain() | {
+            "episodes": len(brute), "void": sum(case.void for case in brute), "task": tasks.plain(),
+        }  # fmt: skip
+        found["overlap"] = switching.overlaps(counted)
+        found["task"]["overlap"] = task.overlaps(tasks)
+    return found
+
+
+def _task_failed(case: Case) -> bool:
+    return not case.task_done and not case.void
+
+
+def words(kind: str, found: dict[str, Any]) -> str:
+    """The estimates of a kind, in words."""
+
+    def of(entry: dict[str, Any]) -> str:
+        low, high = entry["interval"]
+        return f"{entry['estimate']:.2e} [{low:.2e}, {high:.2e}]"
+
+    ticks = found["ticks"]
+    text = (
+        f"disturbance {kind}: defeated with probability {of(found)} by {found['episodes']} episodes "
+        f"({ticks['saved'] / max(ticks['all'], 1):.0%} of their ticks saved by clones); task failed {of(found['task'])}"
+    )
+    if found["brute"] is not None:
+        text += (
+            f"; brute force, {found['brute']['episodes']} episodes: {of(found['brute'])}, task "
+            f"{of(found['brute']['task'])}; intervals {'overlap' if found['overlap'] else 'are apart'}"
+        )
+    return text

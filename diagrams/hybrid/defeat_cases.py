@@ -1,0 +1,88 @@
+"""Cases of the search for the probability of defeat: each episode is run once, and its row is kept."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+from tqdm import tqdm
+
+from diagrams.episodes.episode import Episode, Outcome
+from diagrams.episodes.pool import Pool
+from diagrams.episodes.record import Record, record_hash
+from diagrams.episodes.runner import Job, run_branched, run_episode
+from diagrams.episodes.store import RowStore
+from diagrams.hybrid.severity import severity
+from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.names import ARM_JOINTS
+
+
+@dataclass(frozen=True)
+class Case:
+    """What came of one episode."""
+
+    episode: Episode
+    level: float  # see severity.py
+    failure: str | None  # of the switching
+    task_done: bool
+    void: bool
+    moved_deg: float  # norm of the move from the command at the onset, as it came; 0 under B
+    ticks: int  # of the whole episode
+    saved: int  # of them, by beginning with a clone
+    record_hash: str
+
+    @classmethod
+    def of(cls, episode: Episode, outcome: Outcome, record: Record, saved: int, gamma: float) -> Self:
+        """`gamma`: the threshold of the record's errors."""
+        moved, target, active = 0.0, episode.disturbance.target, np.flatnonzero(record.active)
+        if target is not None and len(active) and active[0] > 0:
+            before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
+            moved = float(np.rad2deg(np.linalg.norm(np.array(target) - before)))
+        return cls(
+            episode, severity(outcome, record, gamma), outcome.switch_failure, bool(outcome.success), outcome.void,
+            moved, len(record.time), saved, record_hash(record),
+        )  # fmt: skip
+
+    @classmethod
+    def of_row(cls, row: dict[str, Any]) -> Self:
+        """From a row of the store: what `asdict` made of a case."""
+        given = row["episode"]
+        changed = {"can_xy": tuple(given["can_xy"]), "disturbance": DisturbanceSpec(**given["disturbance"])}
+        return cls(**row | {"episode": Episode(**given | changed)})
+
+
+def run_case(job: tuple[Job, float, bool]) -> Case:
+    """In a worker: the job's episode, with gamma, and whether it may begin with a clone."""
+    given, gamma, branch = job
+    assert given.episode is not None
+    if branch:
+        outcome, record, saved = run_branched(given)
+    else:
+        (outcome, record), saved = run_episode(given), 0
+    return Case.of(given.episode, outcome, record, saved, gamma)
+
+
+class Cases:
+    """The cases of one controller: those in the store, and what is run beside them."""
+
+    def __init__(self, job: Job, gamma: float, branch: bool, store: RowStore, pool: Pool):
+        """`job`: without an episode; `gamma`: see Case; `branch`: begin with clones where that can be."""
+        self._job, self._gamma, self._branch, self._store, self._pool = job, gamma, branch, store, pool
+
+    def run(self, episodes: Sequence[Episode], bar: tqdm) -> list[Case]:
+        """Of each of `episodes`; those that are new are run. `bar`: is told each of these."""
+        new = {repr(e): e for e in episodes if repr(e) not in self._store.rows}
+        for (job, _, _), case in self._pool.run(run_case, [self._of(episode) for episode in new.values()]):
+            self._store.add(repr(job.episode), asdict(case))
+            bar.update()
+        return [Case.of_row(self._store.rows[repr(episode)]) for episode in episodes]
+
+    def again(self, case: Case) -> bool:
+        """Whether the whole episode, from tick 0, gives the bits of `case`."""
+        job, gamma, _ = self._of(case.episode)
+        [(_, found)] = self._pool.run(run_case, [(job, gamma, False)])
+        return found.record_hash == case.record_hash
+
+    def _of(self, episode: Episode) -> tuple[Job, float, bool]:
+        job = self._job
+        return Job(job.world, job.encoder, job.controller, episode=episode), self._gamma, self._branch
