@@ -11,8 +11,9 @@ from pydrake.systems.primitives import LogVectorOutput, Multiplexer
 
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
-from diagrams.episodes.episode import DIVERGED, Episode, Outcome
+from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.narrator import Narrator
+from diagrams.episodes.outcome import make_outcome
 from diagrams.episodes.prefix import BRANCH_LEVELS, Prefix
 from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.episodes.switching import GUARD, Switching, Until
@@ -23,7 +24,7 @@ from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
-from diagrams.world.task import TIME_LIMIT, TaskMonitor, lifted
+from diagrams.world.task import TIME_LIMIT, TaskMonitor
 from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
@@ -251,7 +252,8 @@ class Rollout:
         narrator.say((k - 1) * period, "task done" if success else unfinished)
         arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
         record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
-        outcome = self._outcome(episode, monitor, record, switching, way_home, success, diverged, can_moved)
+        seen = monitor, record, switching, way_home, success, diverged, can_moved
+        outcome = make_outcome(episode, *seen, period, self.policy.hash)
         if until != "task":  # what was cut short is not judged
             outcome.success = None
             outcome.failure = outcome.failure if diverged else None
@@ -297,64 +299,3 @@ class Rollout:
             return False
         # The last step may have overflowed, and Drake ends the process that asks for a pose then.
         return bool(np.isfinite(state.Eval(plant_context)).all())
-
-    def _outcome(
-        self,
-        episode: Episode,
-        monitor: TaskMonitor,
-        record: Record,
-        switching: Switching,
-        way_home: WayHome,
-        success: bool,
-        diverged: bool,
-        can_moved: bool,
-    ) -> Outcome:
-        period, given = self.world.timing.period, episode.disturbance
-        came = not switching.void if given.takes_arm else can_moved or given.kind == "none"
-        void = not came and not diverged  # a run that diverged has failed at both
-        switch_success, as_paper = switching.success, switching.as_paper
-        failure, switch_failure = None, switching.failure
-        if diverged:
-            switch_success = as_paper = False
-            failure = switch_failure = switch_failure if switching.failed is not None else DIVERGED
-        elif not success:
-            failure, when = monitor.failure(record.can_poses, record.posture)
-            failed = len(record.time) - 1 if switching.failed is None else switching.failed
-            failure = switch_failure if switch_failure is not None and failed <= when else failure
-
-        def seconds(a: int | None, b: int | None) -> float | None:
-            return None if a is None or b is None else (b - a) * period
-
-        return Outcome(
-            seed=episode.seed,
-            rnn=episode.rnn,
-            detector=episode.detector,
-            disturbance=given.kind,
-            can_xy=(float(episode.can_xy[0]), float(episode.can_xy[1])),
-            vacant=episode.vacant,
-            picked=bool(lifted(record.can_poses).any()),
-            placed=bool(monitor.placed(record.can_poses[-1])),
-            home=bool(monitor.home(record.posture[-1])),
-            void=void,
-            way_home_clear=episode.way_home_clear,
-            success=None if void else success,
-            switched=bool((record.alpha >= GUARD).any()),
-            detection_delay_s=seconds(switching.onset, switching.detected),
-            guard_crossings=switching.crossings,
-            false_switches=switching.false_switches,
-            later_switches=switching.later_switches,
-            needless_s=switching.needless_ticks * period,
-            returned=switching.home is not None if switching.disturbed else None,
-            resumed=switching.resumed is not None if switching.disturbed else None,
-            switch_success=switch_success,
-            paper_switch_success=as_paper,
-            alpha_max_before=switching.alpha_max_before,
-            return_s=seconds(switching.end, switching.home),
-            resume_s=seconds(switching.home, switching.resumed),
-            way_home_m=way_home.nearest,
-            way_home_nearest=way_home.name,
-            failure=failure,
-            switch_failure=switch_failure,
-            sim_seconds=len(record.time) * period,
-            weights_hash=self.policy.hash,
-        )

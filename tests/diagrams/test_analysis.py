@@ -135,7 +135,7 @@ def test_return_goes_on_after_a_kill(tmp_path, monkeypatch):
     code = main(parse([*asked, str(tmp_path / "whole")]))
     assert code in (0, 1)  # so few postures measure no rate
     whole = json.loads((tmp_path / "whole" / "return.json").read_text())
-    assert (whole["samples_inside"], whole["failures_inside"], whole["draws"]) == (8, 0, 2)
+    assert (whole["samples_inside"], whole["failures_inside"], whole["draws"]) == (4, 0, 2)
     assert (tmp_path / "whole" / "return.png").is_file()
     assert not list((tmp_path / "whole").glob("*.jsonl"))
     out, true = tmp_path / "out", return_certificate.trajectories_home

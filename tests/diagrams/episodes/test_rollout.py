@@ -123,7 +123,9 @@ def test_command_of_a_tick_is_equation_3(undisturbed, moved_with_the_can, world)
     for run in (undisturbed, moved_with_the_can):
         record, joints = run.record, np.s_[:, :ARM_JOINTS]
         mixed = record.posture + (1 - record.alpha[:, None]) * record.rnn_step + record.regulator_step
-        assert record.desired_posture[joints] == pytest.approx(mixed[joints], abs=1e-9)
+        off = np.abs(record.desired_posture - mixed)[joints].max(axis=1)
+        assert np.all((off < 1e-9) | (record.alpha >= 0.5))
+        assert np.mean(off < 1e-9) > 0.99  # on the way home the clearance filter may change a step
         # The fingers take two values, as predicted, and keep theirs under alpha >= 1/2.
         command, predicted = record.desired_posture[:, -1], record.posture[:, -1] + record.rnn_step[:, -1]
         assert np.isin(command.round(9), (world.opening, world.closed_opening)).all()
@@ -407,7 +409,7 @@ def test_a_run_for_the_paper_s_words_ends_with_the_resumption(rollout, policy, m
 
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
     names = {system.get_name() for system in rollout.diagram.GetSystems() if not isinstance(system, VectorLogSink)}
-    assert names == {"station", "switched_controller", "disturbance", "can_mover", "logged"}
+    assert names == {"station", "switched_controller", "clearance_filter", "disturbance", "can_mover", "logged"}
     wires = {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
         f"{target.get_name()}.{target.get_input_port(into).get_name()}"
@@ -417,7 +419,10 @@ def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
     assert wires == {
         "station.rgb_image -> switched_controller.rgb_image",
         "station.posture -> switched_controller.posture",
-        "switched_controller.desired_posture -> disturbance.desired_posture",
+        "switched_controller.desired_posture -> clearance_filter.desired_posture",
+        "switched_controller.measured_posture -> clearance_filter.posture",
+        "switched_controller.alpha -> clearance_filter.alpha",
+        "clearance_filter.filtered_posture -> disturbance.desired_posture",
         "station.approach_distance -> disturbance.trigger",
         "disturbance.disturbed_posture -> station.desired_posture",
         "disturbance.ticks_since_onset -> can_mover.ticks_since_onset",

@@ -1,0 +1,75 @@
+"""From what was seen in a run to its outcome."""
+
+from diagrams.episodes.episode import DIVERGED, Episode, Outcome
+from diagrams.episodes.record import Record
+from diagrams.episodes.switching import GUARD, Switching
+from diagrams.episodes.way_home import WayHome
+from diagrams.world.task import TaskMonitor, lifted
+
+
+def make_outcome(
+    episode: Episode,
+    monitor: TaskMonitor,
+    record: Record,
+    switching: Switching,
+    way_home: WayHome,
+    success: bool,
+    diverged: bool,
+    can_moved: bool,
+    period: float,
+    policy_hash: str,
+) -> Outcome:
+    """What came of a run of `episode`, to its end: see Outcome.
+
+    `monitor`, `switching` and `way_home` have seen all of `record`; `diverged`: the simulation did; `can_moved`: the
+    can was put elsewhere; `period`: of the ticks, s.
+    """
+    given = episode.disturbance
+    came = not switching.void if given.takes_arm else can_moved or given.kind == "none"
+    void = not came and not diverged  # a run that diverged has failed at both
+    switch_success, as_paper = switching.success, switching.as_paper
+    failure, switch_failure = None, switching.failure
+    if diverged:
+        switch_success = as_paper = False
+        failure = switch_failure = switch_failure if switching.failed is not None else DIVERGED
+    elif not success:
+        failure, when = monitor.failure(record.can_poses, record.posture)
+        failed = len(record.time) - 1 if switching.failed is None else switching.failed
+        failure = switch_failure if switch_failure is not None and failed <= when else failure
+
+    def seconds(a: int | None, b: int | None) -> float | None:
+        return None if a is None or b is None else (b - a) * period
+
+    return Outcome(
+        seed=episode.seed,
+        rnn=episode.rnn,
+        detector=episode.detector,
+        disturbance=given.kind,
+        can_xy=(float(episode.can_xy[0]), float(episode.can_xy[1])),
+        vacant=episode.vacant,
+        picked=bool(lifted(record.can_poses).any()),
+        placed=bool(monitor.placed(record.can_poses[-1])),
+        home=bool(monitor.home(record.posture[-1])),
+        void=void,
+        way_home_clear=episode.way_home_clear,
+        success=None if void else success,
+        switched=bool((record.alpha >= GUARD).any()),
+        detection_delay_s=seconds(switching.onset, switching.detected),
+        guard_crossings=switching.crossings,
+        false_switches=switching.false_switches,
+        later_switches=switching.later_switches,
+        needless_s=switching.needless_ticks * period,
+        returned=switching.home is not None if switching.disturbed else None,
+        resumed=switching.resumed is not None if switching.disturbed else None,
+        switch_success=switch_success,
+        paper_switch_success=as_paper,
+        alpha_max_before=switching.alpha_max_before,
+        return_s=seconds(switching.end, switching.home),
+        resume_s=seconds(switching.home, switching.resumed),
+        way_home_m=way_home.nearest,
+        way_home_nearest=way_home.name,
+        failure=failure,
+        switch_failure=switch_failure,
+        sim_seconds=len(record.time) * period,
+        weights_hash=policy_hash,
+    )
