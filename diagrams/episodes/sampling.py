@@ -191,7 +191,7 @@ class EpisodeSampler:
     def way_home_clear(self, given: DisturbanceSpec, left_at: np.ndarray, vacant: str) -> bool:
         """Whether the straight way home from `left_at` (7, rad) is clear, in the scene of the last `approach`."""
         if given.can_moved_to is not None:  # it goes home without the can
-            self._checker.set_scene(given.can_moved_to, vacant, self._world.closed_opening)
+            self._checker.set_scene(np.array(given.can_moved_to), vacant, self._world.closed_opening)
         return self._checker.path_touches(left_at, self._home) is None
 
     def _moved(self, rng: np.random.Generator, can_xy: XY) -> XY:

@@ -66,7 +66,7 @@ def judge(
             "max_v_increase": float(max((np.max(np.diff(x), initial=-1.0) for x in v), default=-1.0)),
         }
 
-    touched = Counter(way.name for way in ways if way.touches)
+    touched = Counter(str(way.name) for way in ways if way.touches)
     return {
         "contraction_first": promise.first,
         "contraction_rate": promise.later,

@@ -237,13 +237,14 @@ class _View:
         returning: bool,
         poses: dict[str, np.ndarray] | None = None,
     ):
-        """`gap`: of the fingers, m; `poses`: (7,) each, of the cans that are not in the hand."""
+        """`gap`: of the fingers, m; `poses`: (7,) each, of the cans."""
         self._scene, self._returning, self._absent = scene, returning, np.empty(0, int)
         self._positions = scene.positions.copy()
         self._positions[ARM_JOINTS : ARM_JOINTS + 2] = 0.5 * gap
-        for name, body in scene.cans.items() if poses is not None else ():
-            start = body.floating_positions_start()
-            self._positions[start : start + POSE] = poses[name]
+        for name, pose in (poses or {}).items():
+            if name in scene.cans:
+                start = scene.cans[name].floating_positions_start()
+                self._positions[start : start + POSE] = pose
         if poses is None and self._clearance(posture[:ARM_JOINTS], 0.0).size():
             found = self._query(posture[:ARM_JOINTS], 0.0)
             overlapped = found.pairs[found.distances < 0.0] % scene.plant.num_bodies()

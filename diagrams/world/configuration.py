@@ -155,10 +155,10 @@ class World:
                 f"there are no cans '{self.clearance.cans}' (world.clearance.cans): choose from "
                 f"{', '.join(CLEARANCE_CANS)}"
             )
-        gap, least, rate = self.clearance.gap, self.clearance.least, self.clearance.rate
-        if not least < gap < WITHIN or rate > 1.0:
+        gap, nearest, rate = self.clearance.gap, self.clearance.least, self.clearance.rate
+        if not nearest < gap < WITHIN or rate > 1.0:
             raise InputError(
-                f"world.clearance.least {least} m, gap {gap} m and rate {rate} do not fit: choose least < gap < "
+                f"world.clearance.least {nearest} m, gap {gap} m and rate {rate} do not fit: choose least < gap < "
                 f"{WITHIN} m, and a rate of at most 1"
             )
         if not 0.0 < angle < 180.0:
