@@ -41,11 +41,11 @@ def box_samples(
     """`count` postures, uniform in the box, the can in the hand in every second.
 
     `border`: moved away from home onto the border of the box, where the steps are largest.
-    One in which the arm, or the can that it holds, is inside the desk, the shelf or a can is none: it is sampled again.
+    One in which the arm, or the can that it holds, is nearer than 1 cm to desk, shelf or a can is sampled again.
     """
     from tqdm import tqdm
 
-    checker, home = CollisionChecker(gap=0.0), world.initial_posture[:ARM_JOINTS]
+    checker, home = CollisionChecker(), world.initial_posture[:ARM_JOINTS]
     corner, opposite = world.grid.bounds
     samples: list[Sample] = []
     with tqdm(total=count, desc="postures in the box", leave=False, disable=None) as bar:
