@@ -57,10 +57,10 @@ def test_every_network_computes_what_it_did() -> None:
         np.testing.assert_allclose(numbers, golden[name], rtol=0, atol=TOLERANCE.get(name, 1e-5), err_msg=name)
 
 
-@pytest.mark.parametrize("path", sorted(WEIGHTS.glob("*.safetensors")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [WEIGHTS / "knn.safetensors", WEIGHTS / "subspace.safetensors"], ids=lambda p: p.stem)
 def test_committed_detectors_are_calibrated_for_the_committed_lstms(path: Path) -> None:
     stored = load_detector(path, path.stem)
-    for name in (name for name in POLICIES if name.startswith("lstm")):
+    for name in ("lstm", "lstm-1", "lstm-2"):
         assert calibration_of(path, stored, Policy(WEIGHTS / f"{name}.onnx").hash)["gamma"] > 1.0
 
 
