@@ -12,11 +12,13 @@ class RecurrentPolicy(LeafSystem):
     .. pydrake_system::
 
         name: RecurrentPolicy
-        input_ports: [network_input]
+        input_ports: [network_input, reset]
         output_ports: [predicted_posture, predicted_features, recalled_postures, hidden_state]
 
     Inputs:
         network_input: (M + F,) the scaled posture and the image features, x_k of Eqs. 7 and 8; dimensionless.
+        reset: (1,) above 1/2: the update takes the state before the first tick, and does not step the network. Left
+            unconnected, it never does.
     Outputs (of the state alone, none has direct feedthrough; after the update of tick k):
         predicted_posture: (M,) m^R_{k+1}, scaled, clipped to [-1, 1].
         predicted_features: (F,) f^R_{k+1}, clipped to [-1, 1].
@@ -47,9 +49,11 @@ class RecurrentPolicy(LeafSystem):
         posture = np.clip(policy.scaling.scale(initial_posture), -1.0, 1.0)
 
         self._network_input = self.DeclareVectorInputPort("network_input", self._posture_size + self._feature_size)
-        self._predicted_features = self.DeclareDiscreteState(np.zeros(self._feature_size))
-        self._recalled = self.DeclareDiscreteState(np.tile(posture, self._horizon + 1))
-        self._hidden = self.DeclareDiscreteState(initial_state)
+        self._reset = self.DeclareVectorInputPort("reset", 1)
+        initial = (np.zeros(self._feature_size), np.tile(posture, self._horizon + 1), initial_state)
+        groups = [self.DeclareDiscreteState(value) for value in initial]
+        self._predicted_features, self._recalled, self._hidden = groups
+        self._initial = list(zip(groups, initial, strict=True))
         of_recall = {self.discrete_state_ticket(self._recalled)}
         self.DeclareVectorOutputPort("predicted_posture", self._posture_size, self._calc_prediction, of_recall)
         self.DeclareStateOutputPort("predicted_features", self._predicted_features)
@@ -61,6 +65,10 @@ class RecurrentPolicy(LeafSystem):
         output.SetFromVector(context.get_discrete_state(self._recalled).value()[: self._posture_size])
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
+        if self._reset.HasValue(context) and self._reset.Eval(context)[0] > 0.5:
+            for group, value in self._initial:
+                discrete_state.set_value(group, value)
+            return
         x = self._network_input.Eval(context)
         y, hidden, recalled = self._policy.step(x, context.get_discrete_state(self._hidden).value().copy())
         if np.shape(recalled) != (self._horizon, self._posture_size):

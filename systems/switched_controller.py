@@ -6,6 +6,7 @@ from pydrake.systems.primitives import AffineSystem, ZeroOrderHold
 
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
 from systems.detector import check_detector
+from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.loop_closer import LoopCloser
 from systems.posture_history import PostureHistory
@@ -62,6 +63,7 @@ class SwitchedController(Diagram):
         period: float = 0.1,
         image_width: int = 112,
         image_height: int = 112,
+        home_tolerance=None,
     ):
         """
         Args:
@@ -77,6 +79,8 @@ class SwitchedController(Diagram):
             finger_thresholds: predicted openings below which the fingers close and above which they open, m.
             period: T of the ticks, s.
             image_width, image_height: of the image at the port, pixels.
+            home_tolerance: rad; the network starts anew at home, within so much a joint: see HomeReset. None: never,
+                as in the paper.
         """
         super().__init__()
         period = require_positive("period", period)
@@ -123,16 +127,23 @@ class SwitchedController(Diagram):
                 finger_thresholds=scaled_fingers(finger_thresholds),
             ),
         )
+        def wire(source: System, target: System, *names: str) -> None:
+            for name in names:
+                builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
+
+        if home_tolerance is not None:
+            tolerance = require_positive("home_tolerance", home_tolerance) / half_range[:joints]
+            home = HomeReset(posture_size=size, initial_posture=initial[:joints], tolerance=tolerance)
+            builder.AddNamedSystem("home_reset", home)
+            wire(detector, home, "alpha")
+            builder.Connect(scale.get_output_port(), home.GetInputPort("posture"))
+            wire(home, network, "reset")
         # Between the ticks the detector compares the posture of now with the prediction of the next tick: what it said
         # at the tick is held.
         holds = {
             name: builder.AddNamedSystem(f"{name}_hold", ZeroOrderHold(period, detector.GetOutputPort(name).size()))
             for name in ("alpha", "errors")
         }
-
-        def wire(source: System, target: System, *names: str) -> None:
-            for name in names:
-                builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
 
         builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
         builder.ExportInput(scale.get_input_port(), "posture")

@@ -24,7 +24,7 @@ from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
-from diagrams.world.task import TIME_LIMIT, TaskMonitor
+from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.disturbance import Disturbance
@@ -89,6 +89,7 @@ class Rollout:
                 period=world.timing.period,
                 image_width=world.camera.width,
                 image_height=world.camera.height,
+                home_tolerance=HOME_TOLERANCE if world.resumption == "reset" else None,
             )
         except ValueError as error:
             raise InputError(f"the controller cannot be built: {error}") from error

@@ -17,6 +17,7 @@ from systems.clearance_filter import WITHIN
 
 LARGEST_PICTURE = 2048  # pixels a side
 CLEARANCE_CANS = ("possible", "true", "unseen")
+RESUMPTIONS = ("reset", "imagined")
 MOST_HALVINGS = 10  # of a period to a time step: a simulation of smaller ones would not end
 POSITIVE = (
     "timing.time_step", "timing.period", "servo.finger_stiffness", "servo.finger_damping", "grid.spacing",
@@ -110,6 +111,7 @@ class World:
     grid: Grid = field(default_factory=Grid)
     regulator: Regulator = field(default_factory=Regulator)
     clearance: Clearance = field(default_factory=Clearance)
+    resumption: str = "reset"  # at home: the network starts anew; imagined: when it has imagined its way to the end
     # The initial posture, to which the arm returns after each subtask and under the LQR: seven joint angles (deg).
     initial_joints_deg: list[float] = field(default_factory=lambda: [28.0, 30.0, 0.0, 83.0, 0.0, 62.0, 0.0])
     opening: float = 0.08  # gap of the open fingers, m
@@ -154,6 +156,10 @@ class World:
             raise InputError(
                 f"there are no cans '{self.clearance.cans}' (world.clearance.cans): choose from "
                 f"{', '.join(CLEARANCE_CANS)}"
+            )
+        if self.resumption not in RESUMPTIONS:
+            raise InputError(
+                f"there is no resumption '{self.resumption}' (world.resumption): choose from {', '.join(RESUMPTIONS)}"
             )
         gap, nearest, rate = self.clearance.gap, self.clearance.least, self.clearance.rate
         if not nearest < gap < WITHIN or rate > 1.0:

@@ -1,0 +1,49 @@
+"""When the network starts anew: the arm is at home, and what it imagines is not."""
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from systems.arguments import require_count, require_vector
+from systems.detector import GUARD
+
+
+class HomeReset(LeafSystem):
+    """Says at which ticks the network takes its initial state again: see RecurrentPolicy.
+
+    That is while alpha >= 1/2 and every joint is at the initial posture. The network was trained to begin each subtask
+    there in c_0, and what c_0 recalls is an arm at rest there: so the loop closes as soon as the arm has rested, instead
+    of when the network has imagined the subtask to its end.
+
+    .. pydrake_system::
+
+        name: HomeReset
+        input_ports: [posture, alpha]
+        output_ports: [reset]
+
+    Inputs:
+        posture: (M,) m_k, unit of the initial posture.
+        alpha: (1,) alpha_k in [0, 1].
+    Outputs:
+        reset: (1,) 1 at such a tick, else 0. Direct feedthrough of both.
+    """
+
+    def __init__(self, *, posture_size: int, initial_posture: np.ndarray, tolerance: np.ndarray):
+        """
+        Args:
+            posture_size: M.
+            initial_posture: (J,) of the first J components, the joints.
+            tolerance: (J,) > 0, largest deviation of a joint that is at home; same unit.
+        """
+        super().__init__()
+        size = require_count("posture_size", posture_size)
+        joints = require_count("joints", len(initial_posture), maximum=size)
+        self._initial = require_vector("initial_posture", initial_posture, joints)
+        self._tolerance = require_vector("tolerance", tolerance, joints, minimum=0.0)
+        self._posture = self.DeclareVectorInputPort("posture", size)
+        self._alpha = self.DeclareVectorInputPort("alpha", 1)
+        self.DeclareVectorOutputPort("reset", 1, self._calc_reset, {self.all_input_ports_ticket()})
+
+    def _calc_reset(self, context: Context, output: BasicVector) -> None:
+        away = self._alpha.Eval(context)[0] >= GUARD
+        offset = np.abs(self._posture.Eval(context)[: len(self._initial)] - self._initial)
+        output.SetAtIndex(0, float(away and np.all(offset <= self._tolerance)))
