@@ -61,6 +61,15 @@ class RecurrentPolicy(LeafSystem):
         self.DeclareStateOutputPort("hidden_state", self._hidden)
         self.DeclarePeriodicDiscreteUpdateEvent(require_positive("period", period), 0.0, self._update)
 
+    def set_memory(self, context: Context, hidden: np.ndarray, predicted: np.ndarray, recalled: np.ndarray) -> None:
+        """Puts the network into another state, in this system's `context`.
+
+        `hidden` (S,) c_k; `predicted` (M + F,) of tick k+1, clipped; `recalled` (N, M); all scaled.
+        """
+        context.SetDiscreteState(self._hidden, hidden)
+        context.SetDiscreteState(self._recalled, np.concatenate((predicted[: self._posture_size], np.ravel(recalled))))
+        context.SetDiscreteState(self._predicted_features, predicted[self._posture_size :])
+
     def _calc_prediction(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_discrete_state(self._recalled).value()[: self._posture_size])
 

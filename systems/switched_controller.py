@@ -127,6 +127,7 @@ class SwitchedController(Diagram):
                 finger_thresholds=scaled_fingers(finger_thresholds),
             ),
         )
+
         def wire(source: System, target: System, *names: str) -> None:
             for name in names:
                 builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))

@@ -31,7 +31,10 @@ LIMIT_MARGIN = np.deg2rad(2.0)
 CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
 MOVED_BY = (0.03, 0.06)  # how far a can is moved while the hand approaches it, m
 # Seeds of one purpose never meet those of another: see episode_seeds.
-SEED_BASE = {"validation": 1_000_000, "evaluation": 2_000_000, "certificate": 3_000_000, "defeat": 4_000_000}
+SEED_BASE = {
+    "validation": 1_000_000, "evaluation": 2_000_000, "certificate": 3_000_000, "defeat": 4_000_000,
+    "resumption": 5_000_000,
+}  # fmt: skip
 SEEDS_APART, SEED_BLOCKS = 10_000, 100
 
 

@@ -10,6 +10,7 @@ import yaml
 import systems
 from systems.alpha_mixer import AlphaMixer
 from systems.disturbance import Disturbance
+from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector
 from systems.loop_closer import LoopCloser
@@ -59,6 +60,10 @@ CASES = {
         lambda: RegulatedMixer(**LIMITS, initial_posture=np.zeros(M), Q=1.0, R=90.0, period=PERIOD),
         {(i, "desired_posture") for i in ("posture", "predicted_posture", "alpha")}
         | {("posture", "rnn_step"), ("predicted_posture", "rnn_step"), ("posture", "regulator_step")},
+    ),
+    "HomeReset": (
+        lambda: HomeReset(posture_size=M, initial_posture=np.zeros(3), tolerance=np.ones(3)),
+        {("posture", "reset"), ("alpha", "reset")},
     ),
     "Disturbance": (
         lambda: Disturbance(posture_size=M),
@@ -129,14 +134,16 @@ def test_clone_of_the_context_replays_to_the_same_bits(name):
     assert_clone_replays(system, [random_inputs(system, rng) for _ in range(12)], PERIOD)
 
 
-def test_topology_of_the_controller():
-    controller = make_controller()
-    wires = {
+def wires_of(controller):
+    return {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
         f"{target.get_name()}.{target.get_input_port(into).get_name()}"
         for (target, into), (source, out) in controller.connection_map().items()
     }
-    assert wires >= {
+
+
+def test_topology_of_the_controller():
+    assert wires_of(make_controller()) >= {
         "loop_closer.network_input -> recurrent_policy.network_input",
         "recurrent_policy.recalled_postures -> detector.recalled_postures",
         "recurrent_policy.hidden_state -> detector.hidden_state",
@@ -152,6 +159,14 @@ def test_topology_of_the_controller():
         "detector.errors -> errors_hold.u",
         "posture_scaling.y0 -> loop_closer.posture",  # not the sampled one: the update needs this tick's
         "posture_scaling.y0 -> posture_history.posture",
+    }
+
+
+def test_what_the_reset_adds_to_the_controller():
+    assert wires_of(make_controller(home_tolerance=0.1)) - wires_of(make_controller()) == {
+        "detector.alpha -> home_reset.alpha",  # this tick's, before the network steps
+        "posture_scaling.y0 -> home_reset.posture",
+        "home_reset.reset -> recurrent_policy.reset",
     }
 
 

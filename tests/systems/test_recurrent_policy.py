@@ -77,3 +77,33 @@ def test_a_policy_that_writes_to_its_state_does_no_harm():
     for k in range(2):
         simulator.AdvanceTo((k + 0.5) * PERIOD)
         assert np.abs(outputs(system, context)["hidden_state"]).max() < 2.0
+
+
+def test_reset_takes_the_state_before_the_first_tick_and_does_not_step():
+    policy = FakePolicy()
+    system = RecurrentPolicy(policy, PERIOD)
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    before = outputs(system, context)
+    system.GetInputPort("network_input").FixValue(context, np.full(8, 0.5))
+    system.GetInputPort("reset").FixValue(context, [0.0])
+    simulator.AdvanceTo(0.5 * PERIOD)
+    assert not np.array_equal(outputs(system, context)["hidden_state"], before["hidden_state"])
+    system.GetInputPort("reset").FixValue(context, [1.0])
+    simulator.AdvanceTo(1.5 * PERIOD)
+    after = outputs(system, context)
+    assert all(np.array_equal(after[name], value) for name, value in before.items())
+    assert len(policy.inputs) == 1
+
+
+def test_set_memory_puts_the_network_where_a_step_had_left_it():
+    rng, policy = np.random.default_rng(0), FakePolicy()
+    system = RecurrentPolicy(policy, PERIOD)
+    context = system.CreateDefaultContext()
+    hidden, predicted, recalled = rng.normal(size=12), rng.normal(size=8), rng.normal(size=(2, 4))
+    system.set_memory(context, hidden, predicted, recalled)
+    found = outputs(system, context)
+    assert np.array_equal(found["hidden_state"], hidden)
+    assert np.array_equal(found["predicted_posture"], predicted[:4])
+    assert np.array_equal(found["predicted_features"], predicted[4:])
+    assert np.array_equal(found["recalled_postures"], np.vstack((predicted[:4], recalled)).ravel())

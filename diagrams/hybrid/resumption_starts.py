@@ -1,0 +1,188 @@
+"""Starts of a resumption in the whole system: the arm at home, the network anywhere.
+
+The scene, the image and the can (on the desk or in the hand) are those of a switching point of an undisturbed episode.
+What varies is the rest of the hybrid state: the network's memory is that of a random tick of the same subtask, after it
+has imagined what follows for as long as a disturbance and a way home last; the arm is anywhere within the tolerance of
+the initial posture, having come straight.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context
+
+from diagrams.episodes.calibration import Calibration
+from diagrams.episodes.episode import Episode
+from diagrams.episodes.rollout import Rollout
+from diagrams.episodes.switching import RESUMED
+from diagrams.hybrid.box_gauge import BoxGauge
+from diagrams.world.names import ARM_JOINTS, CANS
+from diagrams.world.station import can_body
+from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor, lifted
+
+IMAGINED_TICKS = (30, 60)  # since the memory's tick: of a disturbance and a way home, inclusive
+SUBTASKS = (1, 2)
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the network's state holds after a tick, scaled."""
+
+    hidden: np.ndarray  # (S,)
+    predicted: np.ndarray  # (M + F,) of the next tick, clipped
+    recalled: np.ndarray  # (N, M)
+
+    def imagined(self, policy) -> Self:
+        """One tick later, the network fed with what it predicted: alpha = 1 in Eqs. 7 and 8."""
+        y, hidden, recalled = policy.step(self.predicted, self.hidden)
+        return type(self)(hidden, np.clip(y, -1.0, 1.0), recalled)
+
+
+@dataclass(frozen=True)
+class SwitchingPoint:
+    """The arm at its initial posture before a subtask, and what the network went through in that subtask."""
+
+    subtask: int
+    context: Context  # the root's, half a plant step before a tick
+    tick: int  # that one
+    memories: list[Memory]  # after each tick of the subtask
+
+
+@dataclass(frozen=True)
+class Start:
+    """The random part of a start."""
+
+    memory: Memory
+    offset: np.ndarray  # (7,) of the arm to the initial posture, rad
+
+    @classmethod
+    def drawn(cls, point: SwitchingPoint, policy, rng: np.random.Generator) -> Self:
+        """A tick of the subtask and a posture within the tolerance, both uniform."""
+        memory = point.memories[rng.integers(len(point.memories))]
+        for _ in range(rng.integers(IMAGINED_TICKS[0], IMAGINED_TICKS[1] + 1)):
+            memory = memory.imagined(policy)
+        return cls(memory, rng.uniform(-HOME_TOLERANCE, HOME_TOLERANCE, ARM_JOINTS))
+
+
+class Resumptions:
+    """The closed loop of a Rollout, begun at switching points."""
+
+    def __init__(self, rollout: Rollout, calibration: Calibration | None):
+        """`calibration`: of the rollout's detector."""
+        self._calibration = calibration
+        self.rollout, self.world, self.gain = rollout, rollout.world, BoxGauge.of(rollout.world).gain
+        controller = rollout.controller
+        self._network = controller.GetSubsystemByName("recurrent_policy")
+        self._history = controller.GetSubsystemByName("posture_history")
+        self._alpha_hold = controller.GetSubsystemByName("alpha_hold")
+        self._ports = {
+            name: (system, system.GetOutputPort(name))
+            for system, name in (
+                (controller, "alpha"), (controller, "measured_posture"), (rollout.station, "can_poses"),
+                (self._network, "hidden_state"), (self._network, "predicted_posture"),
+                (self._network, "predicted_features"), (self._network, "recalled_postures"),
+            )
+        }  # fmt: skip
+
+    @property
+    def simulator(self):
+        """The rollout's."""
+        return self.rollout.simulator
+
+    def switching_points(self, episode: Episode) -> tuple[list[SwitchingPoint], TaskMonitor]:
+        """Those of an undisturbed `episode`; of a subtask that failed there is none."""
+        monitor, period = self.rollout.prepare(episode, self._calibration), self.world.timing.period
+        begun: dict[int, tuple[Context, int]] = {}
+        memories: dict[int, list[Memory]] = {1: [], 2: []}
+        done, postures, subtask = set[int](), list[np.ndarray](), 1
+        for k in range(1, round(TIME_LIMIT / period)):
+            self._advance(k)
+            if subtask not in begun:
+                begun[subtask] = self.simulator.get_context().Clone(), k
+            postures.append(self._value("measured_posture"))
+            memories[subtask].append(self._memory())
+            if self._done(subtask, monitor, postures):
+                done.add(subtask)
+                subtask += 1
+                if subtask not in SUBTASKS:
+                    break
+        return [SwitchingPoint(s, *begun[s], memories[s]) for s in SUBTASKS if s in done], monitor
+
+    def resume(
+        self, point: SwitchingPoint, start: Start, monitor: TaskMonitor, limit: int, finish: int = 0
+    ) -> tuple[int | None, bool | None]:
+        """From `start` at `point`: ticks until the network has the arm, None beyond `limit`; whether the subtask is done.
+
+        `finish`: ticks that the subtask has for that; 0: it is not run to its end, None. A start that has not resumed
+        has not done it.
+        """
+        self._begin(point, start)
+        resumed, postures = None, list[np.ndarray]()
+        for k in range(limit + 1):
+            self._advance(point.tick + k + 1)
+            if self._value("alpha")[0] <= RESUMED:
+                resumed = k
+                break
+        if resumed is None or not finish:
+            return resumed, None if not finish else False
+        for k in range(resumed, resumed + finish):
+            postures.append(self._value("measured_posture"))
+            if self._done(point.subtask, monitor, postures):
+                return resumed, True
+            self._advance(point.tick + k + 2)
+        return resumed, False
+
+    def way_home(self, offset: np.ndarray) -> np.ndarray:
+        """(N + 1, 7) scaled joints at the last ticks of the LQR's ideal way to `offset` (7, rad), the newest first."""
+        policy, initial = self.rollout.policy, self.world.initial_posture
+        rows = np.tile(initial, (policy.horizon + 1, 1))
+        rows[:, :ARM_JOINTS] += offset / (1.0 - self.gain) ** np.arange(len(rows))[:, None]
+        return policy.scaling.scale(rows)[:, :ARM_JOINTS]
+
+    def _advance(self, tick: int) -> None:
+        """To half a plant step before that tick: all outputs are those of the tick before."""
+        timing = self.world.timing
+        self.simulator.AdvanceTo(tick * timing.period - 0.5 * timing.time_step)
+
+    def _value(self, name: str) -> np.ndarray:
+        system, port = self._ports[name]
+        return port.Eval(system.GetMyContextFromRoot(self.simulator.get_context())).copy()
+
+    def _memory(self) -> Memory:
+        predicted = np.concatenate((self._value("predicted_posture"), self._value("predicted_features")))
+        recalled = self._value("recalled_postures").reshape(-1, self.rollout.policy.posture_size)[1:]
+        return Memory(self._value("hidden_state"), predicted, recalled)
+
+    def _done(self, subtask: int, monitor: TaskMonitor, postures: list[np.ndarray]) -> bool:
+        cans, posture = self._value("can_poses"), postures[-1]
+        if subtask == 1:
+            return bool(lifted(cans) and monitor.held(cans, posture) and monitor.home(posture))
+        gap = self.rollout.station.finger_gap(self.simulator.get_context())
+        return monitor.success(cans, np.array(postures), gap)
+
+    def _begin(self, point: SwitchingPoint, start: Start) -> None:
+        """Puts a clone of the switching point's Context, with the start's memory and posture, into the simulator."""
+        self.simulator.reset_context(point.context.Clone())
+        root = self.simulator.get_mutable_context()
+        plant, station = self.rollout.station.plant, self.rollout.station
+        local, grasp = plant.GetMyMutableContextFromRoot(root), plant.GetFrameByName("grasp")
+        can = can_body(plant, CANS[0])
+        X_GC: RigidTransform = can.body_frame().CalcPose(local, grasp)
+        initial = self.world.initial_posture[:ARM_JOINTS]
+        plant.SetPositions(local, station.arm, initial + start.offset)
+        plant.SetVelocities(local, np.zeros(plant.num_velocities()))
+        if point.subtask == 2:  # it is in the hand
+            plant.SetFloatingBaseBodyPoseInWorldFrame(local, can, grasp.CalcPoseInWorld(local).multiply(X_GC))
+        history = self._history.GetMyMutableContextFromRoot(root)
+        rows = history.get_discrete_state(0).value().reshape(-1, self.rollout.policy.posture_size).copy()
+        rows[:, :ARM_JOINTS] = self.way_home(start.offset)[: len(rows)]
+        history.SetDiscreteState(0, rows.ravel())
+        # The mode is `return`: till the tick the network has no say in the command.
+        self._alpha_hold.GetMyMutableContextFromRoot(root).SetDiscreteState(0, [1.0])
+        self._network.set_memory(
+            self._network.GetMyMutableContextFromRoot(root), start.memory.hidden, start.memory.predicted,
+            start.memory.recalled,
+        )  # fmt: skip
+        self.simulator.Initialize()
