@@ -22,8 +22,8 @@ from diagrams.hybrid.switching_point import Linearize
 from models.command_line import run
 
 ANALYSES: dict[str, Callable[..., Arguments]] = {
-    "modes": Modes, "return": Return, "resume": Resume, "cycle": Cycle, "linearize": Linearize, "guard": Guard, "falsify": Falsify, "defeat": Defeat,
-    "states": States,
+    "modes": Modes, "return": Return, "resume": Resume, "cycle": Cycle, "linearize": Linearize, "guard": Guard,
+    "falsify": Falsify, "defeat": Defeat, "states": States,
 }  # fmt: skip
 
 

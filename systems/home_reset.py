@@ -11,8 +11,8 @@ class HomeReset(LeafSystem):
     """Says at which ticks the network takes its initial state again: see RecurrentPolicy.
 
     That is while alpha >= 1/2 and every joint is at the initial posture. The network was trained to begin each subtask
-    there in c_0, and what c_0 recalls is an arm at rest there: so the loop closes as soon as the arm has rested, not only
-    when the network has imagined the subtask to its end.
+    there in c_0, and what c_0 recalls is an arm at rest there: so the loop closes as soon as the arm has rested, not
+    only when the network has imagined the subtask to its end.
 
     .. pydrake_system::
 

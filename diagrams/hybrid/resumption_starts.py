@@ -113,7 +113,7 @@ class Resumptions:
     def resume(
         self, point: SwitchingPoint, start: Start, monitor: TaskMonitor, limit: int, finish: int = 0
     ) -> tuple[int | None, bool | None]:
-        """From `start` at `point`: ticks until the network has the arm, None beyond `limit`; whether the subtask is done.
+        """From `start`: ticks until the network has the arm, None beyond `limit`; and whether the subtask is done.
 
         `finish`: ticks that the subtask has for that; 0: it is not run to its end, None. A start that has not resumed
         has not done it.
