@@ -12,8 +12,9 @@ STATES = {
     "task": ("task\n" r"$\alpha<1/2$", (-1.5, 0.0)),
     "return": ("return\n" r"$\alpha\geq 1/2$", (0.0, 1.2)),
     "box": ("certified box\n" r"$V\leq 1$", (1.5, 0.0)),
-    "home": ("home\n" r"$c:=c_0$", (0.0, -1.2)),
+    "home": ("home", (0.0, -1.2)),
 }
+RESET = "\n" r"$c:=c_0$"
 RADIUS = 0.48
 
 
@@ -24,9 +25,10 @@ def save_cycle(found: dict[str, Any], path: Path) -> None:
     figure, axis = new_figure(1, 1, figsize=(9.5, 6))
     axis.set(xlim=(-4.2, 3.2), ylim=(-1.9, 1.9), aspect="equal")
     axis.axis("off")
-    for words, place in STATES.values():
+    for name, (words, place) in STATES.items():
         axis.add_patch(Circle(place, RADIUS, facecolor=BLUE, alpha=0.15, edgecolor=BLUE, lw=1.5))
-        axis.text(*place, words, ha="center", va="center", fontsize=9)
+        reset = RESET if name == "home" and found["rule"] == "reset" else ""
+        axis.text(*place, words + reset, ha="center", va="center", fontsize=9)
     loops = 0
     for arrow in found["arrows"]:
         colour = RED if arrow["name"] == found["weakest"] else "0.2"

@@ -77,6 +77,7 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: list[dict[st
         ) from error
     foretold = next(arrow for arrow in arrows if arrow["name"] == "resumption")
     return {
+        "rule": resumed["rule"],
         "arrows": arrows,
         "weakest": max(arrows, key=lambda arrow: arrow["bound"])["name"],
         "all_bound": min(1.0, sum(arrow["bound"] for arrow in arrows)),

@@ -38,12 +38,12 @@ class FakeEncoder:
 class FakePolicy:
     """Plays the teacher's commands back by a tick counter.
 
-    Hidden state: what it is doing (WAITING ...), the tick within that, whether it had the can, and where the arm should
-    have been at this tick and the `horizon` ticks before it.
+    Hidden state: what it is doing (WAITING ...), the tick within that, and where the arm should have been at this tick and
+    the `horizon` ticks before it. A can on the mat and closed fingers: it was taken from the hand.
     """
 
     posture_size, feature_size, horizon = ARM_JOINTS + 1, FakeEncoder.feature_size, 10
-    state_size = 3 + (horizon + 1) * posture_size
+    state_size = 2 + (horizon + 1) * posture_size
     beta, gamma = 30.0, 60.0
     hash = name = "fake"
 
@@ -56,7 +56,7 @@ class FakePolicy:
         reach = np.append(np.deg2rad([90, 90, 90, 90, 90, 90, 90]), 0.06)
         self.scaling = MinMaxScaling(self.initial_posture - reach, self.initial_posture + reach)
         self.initial_state = np.concatenate(
-            ([WAITING, 0, 0], np.tile(self.scaling.scale(self.initial_posture), self.horizon + 1))
+            ([WAITING, 0], np.tile(self.scaling.scale(self.initial_posture), self.horizon + 1))
         )
         self.mean_errors = np.full(self.horizon + 1, 2e-6)
         self.inputs = []
@@ -84,13 +84,13 @@ class FakePolicy:
         self.inputs.append(np.array(x))
         home = self.scaling.scale(self.initial_posture)
         posture, features = x[: self.posture_size], x[self.posture_size :]
-        doing, tick, had_can = (int(v) for v in state[:3])
+        doing, tick = (int(v) for v in state[:2])
         if doing == WAITING and features[0] > 0.5:  # it sees the world, not its own imagination
             closed = posture[-1] < home[-1] - 0.3
             if features[1] > 0.5:
-                doing = PICKING_AGAIN if had_can and PICKING_AGAIN in self._paths else PICKING
+                doing = PICKING_AGAIN if closed and PICKING_AGAIN in self._paths else PICKING
             elif closed:
-                doing, had_can = PLACING, 1
+                doing = PLACING
             if doing != WAITING:
                 tick = 0
         if doing == WAITING:
@@ -101,6 +101,6 @@ class FakePolicy:
             tick += 1
             if tick == len(path):
                 doing, tick = WAITING, 0
-        expected = np.concatenate((here, state[3 : -self.posture_size]))
-        y, after = np.append(goal, np.zeros(self.feature_size)), np.append([doing, tick, had_can], expected)
-        return y, after, after[3 + self.posture_size :].reshape(self.horizon, self.posture_size)
+        expected = np.concatenate((here, state[2 : -self.posture_size]))
+        y, after = np.append(goal, np.zeros(self.feature_size)), np.append([doing, tick], expected)
+        return y, after, after[2 + self.posture_size :].reshape(self.horizon, self.posture_size)
