@@ -49,6 +49,7 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
 # Analyses: small samples; a scenario of its own where one that a search found is meant.
 /analysis\.py return/s/$/ --samples 20 --draws 5/
+/analysis\.py resume/s/$/ --starts 30 --finished 1/
 /analysis\.py linearize/s/--samples 20/--samples 2/
 /analysis\.py guard/s/--grid 41 --rays 16/--grid 11 --rays 2/
 /analysis\.py falsify/s/$/ --trials 1 --scenes 1/

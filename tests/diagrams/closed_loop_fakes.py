@@ -38,8 +38,8 @@ class FakeEncoder:
 class FakePolicy:
     """Plays the teacher's commands back by a tick counter.
 
-    Hidden state: what it is doing (WAITING ...), the tick within that, and where the arm should have been at this tick and
-    the `horizon` ticks before it. A can on the mat and closed fingers: it was taken from the hand.
+    Hidden state: what it is doing (WAITING ...), the tick within that, and where the arm should have been at this tick
+    and the `horizon` ticks before it. A can on the mat and closed fingers: it was taken from the hand.
     """
 
     posture_size, feature_size, horizon = ARM_JOINTS + 1, FakeEncoder.feature_size, 10
