@@ -27,7 +27,7 @@ def save_automaton(report: dict, path: Path) -> None:
     arrow = {"arrowstyle": "-|>", "lw": 1.8, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 16, "color": "0.2"}
     for x, y, transition, text in (
         (-0.95, 0.55, "task->return", "recall fails\nLQR alone; network imagines"),
-        (0.95, -0.55, "return->task", "recalls again at the switching point\nreset: input := measured"),
+        (0.95, -0.55, "return->task", "recalls again at home\nreset: input := measured"),
     ):
         left.annotate("", (-x, y), (x, y), arrowprops={**arrow, "connectionstyle": "arc3,rad=-0.35"})
         text = f"{report['transitions'][transition]} times: {text}"

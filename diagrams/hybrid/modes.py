@@ -1,8 +1,9 @@
 """The switched loop as a hybrid automaton: its modes, guard crossings, dwell times and resets, measured on records.
 
 Mode `task` (alpha < 1/2): the network moves the arm and sees it. Mode `return` (alpha >= 1/2): the LQR moves the arm,
-the network runs on its own predictions. The guard is alpha = 1/2. Crossing it back resets the network's input from what
-it imagined to what is measured, at that tick: at the switching point the two should be the same.
+the network runs on its own predictions, and begins anew in c_0 at each tick at which the arm is at home (but for
+`world.resumption: imagined`). The guard is alpha = 1/2. Crossing it back resets the network's input from what it
+predicted to what is measured, at that tick: at the switching point the two should be the same.
 
 Nothing in the law bounds the crossings but the tick: alpha has one value a tick, so that there are ten a second at
 most. That they are few is no theorem but what is measured here: after a crossing the error is far from the threshold.
