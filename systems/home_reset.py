@@ -24,7 +24,9 @@ class HomeReset(LeafSystem):
         posture: (M,) m_k, unit of the initial posture.
         alpha: (1,) alpha_k in [0, 1].
     Outputs:
-        reset: (1,) 1 at such a tick, else 0. Direct feedthrough of both.
+        reset: (1,) 1 at such a tick, else 0. Direct feedthrough of both. A step has no derivative: no AutoDiff.
+
+    The tolerance is a parameter of the Context; negative ones switch it off.
     """
 
     def __init__(self, *, posture_size: int, initial_posture: np.ndarray, tolerance: np.ndarray):
@@ -32,18 +34,25 @@ class HomeReset(LeafSystem):
         Args:
             posture_size: M.
             initial_posture: (J,) of the first J components, the joints.
-            tolerance: (J,) > 0, largest deviation of a joint that is at home; same unit.
+            tolerance: (J,) largest deviation of a joint that is at home; same unit. Where one is negative, there is no
+                reset.
         """
         super().__init__()
         size = require_count("posture_size", posture_size)
         joints = require_count("joints", len(initial_posture), maximum=size)
         self._initial = require_vector("initial_posture", initial_posture, joints)
-        self._tolerance = require_vector("tolerance", tolerance, joints, minimum=0.0)
+        self._tolerance = self.DeclareNumericParameter(BasicVector(require_vector("tolerance", tolerance, joints)))
         self._posture = self.DeclareVectorInputPort("posture", size)
         self._alpha = self.DeclareVectorInputPort("alpha", 1)
-        self.DeclareVectorOutputPort("reset", 1, self._calc_reset, {self.all_input_ports_ticket()})
+        reads = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
+        self.DeclareVectorOutputPort("reset", 1, self._calc_reset, reads)
+
+    def set_tolerance(self, context: Context, tolerance: np.ndarray) -> None:
+        """Sets `tolerance` (J,), see the constructor, in this system's `context`."""
+        context.get_mutable_numeric_parameter(self._tolerance).SetFromVector(tolerance)
 
     def _calc_reset(self, context: Context, output: BasicVector) -> None:
         away = self._alpha.Eval(context)[0] >= GUARD
+        tolerance = context.get_numeric_parameter(self._tolerance).value()
         offset = np.abs(self._posture.Eval(context)[: len(self._initial)] - self._initial)
-        output.SetAtIndex(0, float(away and np.all(offset <= self._tolerance)))
+        output.SetAtIndex(0, float(away and np.all(offset <= tolerance)))

@@ -11,7 +11,7 @@ from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, MOVED, SPOTS, other_spot
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, LIMIT_MARGIN, MOVED, SPOTS, other_spot
 from diagrams.world.scenario import Scenario
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, subtask_commands
 from models.errors import InputError
@@ -27,7 +27,6 @@ DEFLECTION_DEG = (15.0, 40.0)
 DEFLECTED_JOINTS = (3, 7)  # how many joints, inclusive
 STOP_TICKS = (15, 25)  # inclusive, B
 HELD_TICKS = 10  # A: at the posture it was moved to
-LIMIT_MARGIN = np.deg2rad(2.0)
 CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
 MOVED_BY = (0.03, 0.06)  # how far a can is moved while the hand approaches it, m
 # Seeds of one purpose never meet those of another: see episode_seeds.

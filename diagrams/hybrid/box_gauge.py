@@ -5,9 +5,8 @@ from typing import Self
 
 import numpy as np
 
-from diagrams.episodes.sampling import LIMIT_MARGIN
 from diagrams.world.configuration import World
-from diagrams.world.names import ARM_JOINTS
+from diagrams.world.names import ARM_JOINTS, LIMIT_MARGIN
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE
 from models.errors import InputError

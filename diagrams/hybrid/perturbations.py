@@ -16,13 +16,13 @@ import numpy as np
 
 from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.record import Record
-from diagrams.episodes.sampling import LIMIT_MARGIN, ONSET_LEVELS
+from diagrams.episodes.sampling import ONSET_LEVELS
 from diagrams.episodes.switching import DEFEATS, GUARD, RESUME_SECONDS
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import CAN_TAKEN_TICKS, DisturbanceSpec
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS
+from diagrams.world.names import ARM_JOINTS, LIMIT_MARGIN
 from systems.disturbance import MOVE_TICKS
 
 MAX_SIZE_DEG = 60.0  # norm over the joints

@@ -28,7 +28,7 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ZeroOrderHold
 
 from diagrams.world.configuration import World
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CAN_RADIUS, CANS, IN_HAND, SPOTS
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CAN_RADIUS, CANS, IN_HAND, LIMIT_MARGIN, SPOTS
 from diagrams.world.station import PickPlaceStation, add_models, controller_limits
 from diagrams.world.trajectory import X_GRASP_CAN
 from models.errors import InputError
@@ -186,12 +186,14 @@ def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter
                 f"world.clearance.gap {given.gap} m: at the initial posture the arm is {nearest:.3f} m from where a "
                 "can may stand, and could not come home: choose less, or another posture"
             )
+    # A changed step stays where A's targets may be, and a degree within: the servo may overshoot.
+    margin = np.append(np.full(ARM_JOINTS, LIMIT_MARGIN + np.deg2rad(1.0)), np.zeros(len(lower) - ARM_JOINTS))
     return ClearanceFilter(
         map,
         posture_size=len(lower),
         joints=ARM_JOINTS,
-        lower=lower,
-        upper=upper,
+        lower=lower + margin,
+        upper=upper - margin,
         max_step=(speed * world.timing.period)[:ARM_JOINTS],
         gap=given.gap,
         least=given.least,

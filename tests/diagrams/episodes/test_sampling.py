@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from diagrams.episodes.sampling import (
-    LIMIT_MARGIN,
     MOVED_BY,
     ONSET_LEVELS,
     SEED_BASE,
@@ -14,7 +13,7 @@ from diagrams.episodes.sampling import (
 )
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import Grid, World
-from diagrams.world.names import CAN_HALF_HEIGHT, DISTURBANCES, MOVED, SPOTS
+from diagrams.world.names import CAN_HALF_HEIGHT, DISTURBANCES, LIMIT_MARGIN, MOVED, SPOTS
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, subtask_commands
 from models.errors import InputError
 
