@@ -54,7 +54,7 @@ class Return(Arguments):
             found, picture = certify(
                 world, samples=self.samples, draws=self.draws, seed=self.seed, pool=pool, store=store
             )
-        self.write("return", found)
+        self.write("return", {"fingerprint": fingerprint(world)} | found)
         save_certificate(picture, self.out / "return.png")
         path.unlink()  # it is for a run that is broken off
         print(_words(found))
@@ -121,6 +121,7 @@ def certify(
     }
     report = {
         **total(sets),
+        "period_s": period,
         "draws": draws,
         "coverage_onsets": float(np.mean(levels["onsets"] <= 1.0)),
         "coverage_targets": float(np.mean(levels["targets"] <= 1.0)),

@@ -44,6 +44,7 @@ def judge(
     free = np.array([way.free for way in ways], bool)
     held = np.array([sample.held for sample in samples], bool)
     dropped = np.array([way.dropped for way in ways], bool)
+    touched = np.array([way.touches for way in ways], bool)
     arrivals = np.array([way.arrival(home) for way in ways], int)
     certified = promise.ticks_home(at_home)
     found = arrivals[arrivals >= 0]
@@ -56,6 +57,7 @@ def judge(
             "left_box": sum(bool(x.max() > 1.0 + V_TOLERANCE * at_home) for x in v),
             "later_than_certified": int(np.sum((when < 0) | (when > certified))),
             "touches": sum(way.touches for way, take in zip(ways, chosen, strict=True) if take),
+            "failed_or_touched": int(np.sum(((arrivals < 0) | touched)[chosen])),
         }
         return {
             "samples": n,
@@ -66,7 +68,7 @@ def judge(
             "max_v_increase": float(max((np.max(np.diff(x), initial=-1.0) for x in v), default=-1.0)),
         }
 
-    touched = Counter(str(way.name) for way in ways if way.touches)
+    by_name = Counter(str(way.name) for way in ways if way.touches)
     return {
         "contraction_first": promise.first,
         "contraction_rate": promise.later,
@@ -78,7 +80,7 @@ def judge(
         "v_tolerance": V_TOLERANCE * at_home,
         "all": counts(np.ones(len(ways), bool)),
         "free": counts(free),
-        "touches": {name: touched[name] for name in sorted(touched)},
+        "touches": {name: by_name[name] for name in sorted(by_name)},
         "nearest_distance_m": min((way.nearest for way in ways if way.nearest is not None), default=None),
         "held": int(held.sum()),
         "dropped": int(dropped.sum()),
@@ -89,15 +91,22 @@ def judge(
 
 
 def total(sets: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """What is said of the box as a whole: of the postures that are uniform in it."""
-    everything = sets["box"]["all"]
+    """What is said of the box as a whole: of the postures that are uniform in it, and of what any way came near to."""
+    box, nearest = sets["box"], [found["nearest_distance_m"] for found in sets.values()]
+    everything, free = box["all"], box["free"]
     return {
         "samples_inside": everything["samples"],
         "failures_inside": everything["failures"],
         "bound_inside": everything["bounds"]["failures"],
         "left_box_inside": everything["left_box"],
-        "touches_inside": everything["touches"],
-        "nearest_distance_m": sets["box"]["nearest_distance_m"],
+        "touches_inside": sum(found["all"]["touches"] for found in sets.values()),
+        "nearest_distance_m": min((metres for metres in nearest if metres is not None), default=None),
+        "broke_off": [words for found in sets.values() for words in found["broke_off"]],
+        "contraction_rate": box["contraction_rate"],
+        "contraction_rate_measured": free["contraction_rate_measured"],
+        "later_than_certified": free["later_than_certified"],
+        "max_v_increase": free["max_v_increase"],
+        **{name: box[name] for name in ("time_home_certified_s", "time_home_measured_s", "v_tolerance")},
     }
 
 

@@ -9,7 +9,7 @@ import pytest
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
-from diagrams.hybrid import return_trajectories
+from diagrams.hybrid import return_loop, return_trajectories
 from diagrams.hybrid.return_loop import GRASPED_GAP, ReturnLoop, Trajectory
 from diagrams.hybrid.return_samples import Sample
 from diagrams.hybrid.return_trajectories import trajectories_home
@@ -26,6 +26,7 @@ def loop(world):
 
 def test_command_of_the_loop_is_the_regulators(loop, world):
     context = loop.diagram.CreateDefaultContext()
+    loop.diagram.GetInputPort("alpha").FixValue(context, [1.0])
     history = loop.diagram.GetSubsystemByName("posture_history")
     posture = world.initial_posture + np.array([0.2, -0.1, 0.0, 0.1, 0.3, -0.2, 0.1, -0.05])
     history.GetMyMutableContextFromRoot(context).SetDiscreteState(0, posture)
@@ -126,3 +127,16 @@ def test_trajectories_survive_the_disk_and_are_not_run_again(world, tmp_path, mo
     for one, other in zip(first, again, strict=True):
         assert np.array_equal(one.rows, other.rows)
         assert replace(one, rows=None) == replace(other, rows=None)
+
+
+def test_a_can_that_is_flung_out_of_the_hand_does_not_end_the_simulation(loop, world, monkeypatch):
+    degrees = [-116.8, -1.2, 146.3, -3.8, 77.9, -79.1, 149.4]
+    monkeypatch.setattr(return_loop, "FASTEST_SPIN", np.inf)
+    spinning = loop.run(np.deg2rad(degrees), CAN, "right", held=True)
+    assert "non-finite" in spinning.broke_off  # it turns by radians a step, and is no number before the arm is home
+    monkeypatch.undo()
+    found = loop.run(np.deg2rad(degrees), CAN, "right", held=True)
+    assert found.broke_off is None
+    assert found.rows[: len(spinning.rows)] == pytest.approx(spinning.rows, abs=1e-3)  # the arm goes as it went
+    assert found.dropped
+    assert found.arrival(world.initial_posture[:7]) > 0
