@@ -10,29 +10,31 @@ from diagrams.drawing.style import BLUE, ORANGE, RED, new_figure, save
 from diagrams.episodes.switching import RESUME_SECONDS
 
 COLOURS = {"reset": BLUE, "imagined": ORANGE}
+LINES = {"pick": "-", "place": "--", "can taken": ":"}
 WORDS = {"reset": "starts anew at home", "imagined": "imagines its way to the end"}
 
 
-def save_resumption(rows: Mapping[str, Sequence[tuple[Any, ...]]], period: float, path: Path) -> None:
-    """Draws, by rule, the share of starts that have resumed over time (left) and V against the time measured (right).
+def save_resumption(rows: Sequence[Mapping[str, Any]], period: float, path: Path) -> None:
+    """Draws, by rule and kind, the share of starts that have resumed over time (left); V against the time measured.
 
-    `rows`: see diagrams/hybrid/resumption.py; `period`: of the ticks, s.
+    `rows`: `rule`, `kind`, `foretold` and `resumed` of each start, see diagrams/hybrid/resumption.py; `period`: of the
+    ticks, s.
     """
     figure, (left, right) = new_figure(1, 2, figsize=(11, 4.4))
     longest = RESUME_SECONDS
-    for rule, starts in rows.items():
-        for subtask, line in ((1, "-"), (2, "--")):
-            chosen = [row for row in starts if row[0] == subtask]
-            times = np.sort([row[3] * period for row in chosen if row[3] is not None])
+    for rule, colour in COLOURS.items():
+        of_rule = [row for row in rows if row["rule"] == rule]
+        for kind, line in LINES.items():
+            chosen = [row["resumed"] for row in of_rule if row["kind"] == kind]
+            times = np.sort([ticks * period for ticks in chosen if ticks is not None])
             if not len(times):
                 continue
             longest = max(longest, float(times[-1]))
             share = np.arange(1, len(times) + 1) / len(chosen)
-            label = f"{WORDS[rule]}, subtask {subtask}"
-            left.step(times, share, where="post", color=COLOURS[rule], ls=line, label=label)
-        both = np.array([row[2:4] for row in starts if None not in row[2:4]], float) * period
-        if len(both):
-            right.plot(*both.T, ".", ms=3, color=COLOURS[rule], alpha=0.3, label=WORDS[rule])
+            left.step(times, share, where="post", color=colour, ls=line, label=f"{WORDS[rule]}, {kind}")
+        both = [(row["foretold"], row["resumed"]) for row in of_rule if None not in (row["foretold"], row["resumed"])]
+        if both:
+            right.plot(*(np.array(both, float).T * period), ".", ms=3, color=colour, alpha=0.3, label=WORDS[rule])
     left.axvline(RESUME_SECONDS, color=RED, lw=0.8, ls=":")
     left.text(RESUME_SECONDS, 0.02, " allowed", color=RED, fontsize=8)
     left.set(xlabel="time from home (s)", ylabel="share of the starts that have resumed", ylim=(0.0, 1.02))

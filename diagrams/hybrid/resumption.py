@@ -1,43 +1,50 @@
 """The region of resumption: from which states the loop closes again within 6 s, and the subtask is done.
 
-Starts are sampled in the whole system (resumption_starts.py), for both rules by which the network comes back at home:
+Starts are sampled in the whole system (resumption_starts.py), under both rules by which the network comes back at home:
 it starts anew, or has imagined its way to the end. V (resumption_time.py) says of each start, from the network alone,
-when it resumes; its largest level from which all starts have resumed in the whole system is the region.
+when it resumes; its largest level from which all starts have resumed in the whole system is the region. Disturbed runs
+of their own test it: V where each arm came home says which of them will not resume in time.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from diagrams.episodes.calibration import Controller, stored_calibration
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool, kept_in_thread
-from diagrams.episodes.runner import Job, build_rollout
+from diagrams.episodes.runner import Job, build_rollout, run_episode
 from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.episodes.switching import RESUME_SECONDS
+from diagrams.hybrid.box_gauge import BoxGauge
 from diagrams.hybrid.common import NetworkArguments
+from diagrams.hybrid.resumption_starts import KINDS, Memory, Resumptions, Start
+from diagrams.hybrid.resumption_time import time_to_resume
 from diagrams.hybrid.return_proof import bound
-from diagrams.world.configuration import RESUMPTIONS
+from diagrams.world.configuration import RESUMPTIONS, World
+from diagrams.world.names import ARM_JOINTS
+from diagrams.world.task import HOME_TOLERANCE
 from models.errors import InputError
 
-STARTS_A_SCENE = 30  # and subtask
+STARTS_A_SCENE = 15  # of a kind, under each rule
 FINISH_SECONDS = 30.0  # that a subtask has
 PATIENCE = 2.0  # starts are followed for so many times RESUME_SECONDS
-SUBTASKS = (1, 2)
+MOST_SCENES = 5000  # the seeds after them are of the disturbed runs
 
 
 @dataclass
 class Resume(NetworkArguments):
     """The region of resumption: from which states the loop closes again within 6 s, and the subtask is done."""
 
-    starts: int = 3000  # for each subtask and rule
-    finished: int = 300  # of them, whose subtask is run to its end
+    starts: int = 3000  # of each kind, under each rule
+    runs: int = 200  # disturbed ones, half of them A
     workers: int = 2
 
-    LEAST: ClassVar[dict[str, int]] = {"starts": 1, "finished": 0, "workers": 0}
+    LEAST: ClassVar[dict[str, int]] = {"starts": 1, "runs": 0, "workers": 0}
 
     def run(self) -> int:
         """Samples; returns 0 if under the world's rule every start resumes, else 1."""
@@ -47,121 +54,237 @@ class Resume(NetworkArguments):
         world, encoder, policy = self.world(), Encoder(self.encoder_path), Policy(self.policy_path)
         if policy.gamma is None:
             raise InputError(f"{self.policy_path} has no calibration: run diagrams/calibrate.py on it")
-        scenes = -(-self.starts // STARTS_A_SCENE)
-        seeds = episode_seeds("resumption", self.seed, scenes)
-        finished = -(-min(self.finished, self.starts) // scenes)
-        jobs = [
-            ResumeJob(Job(replace(world, resumption=rule), self.encoder_path, Controller(self.policy_path), seed),
-                      rule, self.seed, finished)
-            for rule in RESUMPTIONS for seed in seeds
-        ]  # fmt: skip
-        chosen = {"weights": policy.hash, "encoder": encoder.hash, "finished": finished}
+        if self.runs > MOST_SCENES:
+            raise InputError(f"--runs {self.runs} is too large: choose at most {MOST_SCENES}")
+        chosen = {"weights": policy.hash, "encoder": encoder.hash}
         path = self.out / "resume_starts.jsonl"
+        job, seeds = Job(world, self.encoder_path, Controller(self.policy_path)), self._seeds()
         with RowStore(path, fingerprint(world, "diagrams/hybrid", **chosen)) as store, Pool(self.workers) as pool:
-            rows = _rows(jobs, store, pool)
+            rows, scenes = self._starts(job, seeds[:MOST_SCENES], store, pool)
+            runs = self._runs(job, seeds[MOST_SCENES:], store, pool)
         period = world.timing.period
         rules = {
-            rule: {
-                str(subtask): judge([row for row in rows[rule] if row[0] == subtask][: self.starts], period)
-                for subtask in SUBTASKS
-            }
+            rule: {kind: judge([row for row in rows if (row.rule, row.kind) == (rule, kind)], period) for kind in KINDS}
             for rule in RESUMPTIONS
         }
-        self.write("resume", {"policy": policy.hash, "rule": world.resumption, "scenes": scenes, "rules": rules})
-        save_resumption(rows, period, self.out / "resume.png")
+        worst = worst_ticks(policy, world)
+        found = {
+            "fingerprint": fingerprint(world), "policy": policy.hash, "rule": world.resumption, "scenes": scenes,
+            "rules": rules, "worst_ticks": worst, "runs": judge_runs(runs, period),
+        }  # fmt: skip
+        self.write("resume", found)
+        save_resumption([asdict(row) for row in rows], period, self.out / "resume.png")
         path.unlink()  # it is for a run that is broken off
-        for rule, found in rules.items():
-            for subtask, entry in found.items():
-                print(_words(rule, subtask, entry))
+        for rule, kind in product(RESUMPTIONS, KINDS):
+            print(_words(rule, kind, rules[rule][kind]))
+        print(f"starting anew from the farthest posture at home takes {worst} ticks; disturbed runs: {found['runs']}")
         return 1 if any(entry["not_resumed"] for entry in rules[world.resumption].values()) else 0
+
+    def _seeds(self) -> list[int]:
+        """Of the scenes, MOST_SCENES of them, then of the disturbed runs."""
+        return episode_seeds("resumption", self.seed, MOST_SCENES + max(self.runs, 1))
+
+    def _starts(self, job: Job, seeds: list[int], store: RowStore, pool: Pool) -> tuple[list["Row"], dict[str, Any]]:
+        """`starts` of each kind and rule; how many scenes they took, and how many gave none of a kind."""
+        done: list[list[Row]] = []
+        for jobs in self._batches(job, seeds, done):
+            missing = [given for given in jobs if given.key not in store.rows]
+            for given, found in pool.run(run_scene, missing):
+                store.add(given.key, [asdict(row) for row in found])
+            done.extend([Row(**row) for row in store.rows[given.key]] for given in jobs)
+        without = {kind: sum(all(row.kind != kind for row in scene) for scene in done) for kind in KINDS}
+        rows = [row for scene in done for row in scene]
+        chosen = [
+            row
+            for rule, kind in product(RESUMPTIONS, KINDS)
+            for row in [row for row in rows if (row.rule, row.kind) == (rule, kind)][: self.starts]
+        ]
+        return chosen, {"seen": len(done), "without": without}
+
+    def _batches(self, job: Job, seeds: list[int], done: list[list["Row"]]) -> Iterator[list["SceneJob"]]:
+        """Scenes, some at a time, as long as a kind has too few starts in `done`."""
+        from tqdm import tqdm
+
+        begun, rule = 0, RESUMPTIONS[0]
+        with tqdm(total=self.starts * len(KINDS), desc="resume", unit="start", disable=None) as bar:
+            while begun < len(seeds):
+                have = [sum(row.kind == kind and row.rule == rule for scene in done for row in scene) for kind in KINDS]
+                bar.update(sum(min(count, self.starts) for count in have) - bar.n)
+                lacking = self.starts - min(have)
+                if lacking <= 0:
+                    return
+                count = min(-(-lacking // STARTS_A_SCENE), 20, len(seeds) - begun)
+                yield [SceneJob(replace(job, seed=seed), self.seed) for seed in seeds[begun : begun + count]]
+                begun += count
+        raise InputError(
+            f"{begun} scenes do not give {self.starts} starts of each kind: the network does its subtasks too seldom, "
+            "choose less --starts"
+        )
+
+    def _runs(self, job: Job, seeds: list[int], store: RowStore, pool: Pool) -> list["RunRow"]:
+        """The disturbed runs."""
+        from tqdm import tqdm
+
+        jobs = [
+            replace(job, seed=seed, kind="AB"[i % 2], until="as_paper") for i, seed in enumerate(seeds[: self.runs])
+        ]
+        missing = [given for given in jobs if f"run {given.seed}" not in store.rows]
+        known = len(jobs) - len(missing)
+        with tqdm(total=len(jobs), initial=known, desc="disturbed", unit="run", disable=None) as bar:
+            for given, found in pool.run(run_disturbed, missing):
+                store.add(f"run {given.seed}", asdict(found))
+                bar.update()
+        return [RunRow(**store.rows[f"run {given.seed}"]) for given in jobs]
 
 
 @dataclass(frozen=True)
-class ResumeJob:
-    """The starts of one scene under one rule."""
+class SceneJob:
+    """The starts of one scene."""
 
     job: Job
-    rule: str
-    seed: int
-    finished: int  # of each subtask's starts, run to the end
+    seed: int  # of the starts
 
     @property
     def key(self) -> str:
         """In the store."""
-        return f"{self.rule}-{self.job.seed}"
+        return f"scene {self.job.seed}"
 
 
-# Of one start: subtask; largest deviation of a joint, deg; V and the ticks to resume, None: more than those followed;
-# whether the subtask was done, None: not looked at.
-Row = tuple[int, float, int | None, int | None, bool | None]
+@dataclass(frozen=True)
+class Row:
+    """What came of a start."""
+
+    scene: int  # seed of its episode
+    rule: str  # of RESUMPTIONS
+    kind: str  # of KINDS
+    farthest_deg: float  # largest deviation of a joint
+    left: int  # ticks of its subtask that the network had still to imagine
+    foretold: int | None  # V; None: more than the ticks that are followed
+    resumed: int | None  # ticks; None: as above
+    done: bool | None  # the subtask; None: not looked at, or not resumed
 
 
-def run_job(given: ResumeJob) -> list[Row]:
-    """In a worker: the starts of a scene."""
-    from diagrams.hybrid.resumption_starts import Resumptions, Start
-    from diagrams.hybrid.resumption_time import time_to_resume
+@dataclass(frozen=True)
+class RunRow:
+    """What came of a disturbed run."""
 
+    came_home: bool  # as the switching asks for
+    foretold: int | None = None  # V at the first tick at home
+    resumed: int | None = None  # ticks from there
+
+    @classmethod
+    def none(cls) -> Self:
+        """Of a run whose arm did not come home, or that was not disturbed."""
+        return cls(False)
+
+
+def run_scene(given: SceneJob) -> list[Row]:
+    """In a worker: the starts of a scene; none of a kind whose subtask fails undisturbed."""
     job = given.job
+    # One diagram for both rules: the one without the reset has it switched off in its Context.
+    world = replace(job.world, resumption="reset")
 
     def make() -> Resumptions:
-        rollout, controller = build_rollout(job.world, job.encoder, job.controller), job.controller
+        rollout, controller = build_rollout(world, job.encoder, job.controller), job.controller
         return Resumptions(rollout, stored_calibration(controller.detector, rollout.policy, controller.policy.parent))
 
-    system = kept_in_thread(("resumptions", repr(job.world), job.controller), make)
-    sampler = kept_in_thread(("sampler", repr(job.world)), lambda: EpisodeSampler(job.world))
-    policy, period = system.rollout.policy, job.world.timing.period
+    system = kept_in_thread(("resumptions", repr(world), job.controller), make)
+    sampler = kept_in_thread(("sampler", repr(world)), lambda: EpisodeSampler(world))
+    policy, period = system.rollout.policy, world.timing.period
     points, monitor = system.switching_points(sampler.sample(job.seed, "none", rnn=policy.name))
-    limit, found = round(PATIENCE * RESUME_SECONDS / period), list[Row]()
-    for point in points:
-        rng = np.random.default_rng([given.seed, job.seed, point.subtask])
-        for i in range(STARTS_A_SCENE):
-            start = Start.drawn(point, policy, rng)
-            rows = system.way_home(start.offset)
-            predicted = time_to_resume(policy, start.memory, rows, system.gain, limit, given.rule == "reset")
-            finish = round(FINISH_SECONDS / period) if i < given.finished else 0
-            resumed, done = system.resume(point, start, monitor, limit, finish)
+    by_subtask = {point.subtask: point for point in points}
+    limit, found = _followed(period), list[Row]()
+    for number, (kind, (subtask, _)) in enumerate(KINDS.items()):
+        point = by_subtask.get(subtask)
+        rng = np.random.default_rng([given.seed, job.seed, number])
+        for i in range(STARTS_A_SCENE if point is not None else 0):
+            assert point is not None
+            start = Start.drawn(kind, point, world, policy, rng)
             farthest = float(np.rad2deg(np.abs(start.offset).max()))
-            found.append((point.subtask, farthest, predicted, resumed, done))
+            for rule in RESUMPTIONS:
+                reset = rule == "reset"
+                way = system.way_home(start.offset)
+                foretold = time_to_resume(policy, start.memory, way, system.gain, limit, reset)
+                finish = round(FINISH_SECONDS / period) if i == 0 and rule == job.world.resumption else 0
+                resumed, done = system.resume(point, start, monitor, reset=reset, limit=limit, finish=finish)
+                found.append(Row(job.seed, rule, kind, farthest, start.left, foretold, resumed, done))
     return found
 
 
-def _rows(jobs: Sequence[ResumeJob], store: RowStore, pool: Pool) -> dict[str, list[Row]]:
-    """The starts of each rule; what is in the store is not run again."""
-    from tqdm import tqdm
+def run_disturbed(job: Job) -> RunRow:
+    """In a worker: a disturbed run, and V of where its arm came home."""
+    from models.inference import Policy
 
-    missing = [job for job in jobs if job.key not in store.rows]
-    with tqdm(total=len(jobs), initial=len(jobs) - len(missing), desc="resume", unit="scene", disable=None) as bar:
-        for job, found in pool.run(run_job, missing):
-            store.add(job.key, found)
-            bar.update()
-    return {
-        rule: [tuple(row) for job in jobs if job.rule == rule for row in store.rows[job.key]] for rule in RESUMPTIONS
-    }
+    outcome, record = run_episode(job)
+    active = np.flatnonzero(record.active > 0.5)
+    if outcome.return_s is None or not len(active):
+        return RunRow.none()
+    policy = kept_in_thread(("policy", job.controller.policy), lambda: Policy(job.controller.policy))
+    period, limit = job.world.timing.period, _followed(job.world.timing.period)
+    home = int(active[-1]) + 1 + round(outcome.return_s / period)
+    # What the network held at the tick: of the tick before, which it stepped, since the arm was not at home yet.
+    before = home - 1
+    y, hidden, recalled = policy.step(record.network_input[before], record.hidden_state[before - 1])
+    memory = Memory(hidden, np.clip(y, -1.0, 1.0), recalled)
+    rows = np.array([policy.scaling.scale(record.posture[home - n])[:ARM_JOINTS] for n in range(policy.horizon + 2)])
+    gain = kept_in_thread(("gain", repr(job.world)), lambda: BoxGauge.of(job.world).gain)
+    foretold = time_to_resume(policy, memory, rows, gain, limit, job.world.resumption == "reset")
+    resumed = None if outcome.resume_s is None else round(outcome.resume_s / period)
+    return RunRow(True, foretold, resumed)
+
+
+def worst_ticks(policy, world: World) -> int | None:
+    """V of a network that starts anew where every joint is as far off as can be at home: none at home takes longer.
+
+    The recall's errors are sums of squares of the joints' deviations. None: more than the ticks that are followed.
+    """
+    gain, limit = BoxGauge.of(world).gain, _followed(world.timing.period)
+    initial = policy.scaling.scale(policy.initial_posture)
+    far = initial + np.append(np.full(ARM_JOINTS, HOME_TOLERANCE), 0.0) / policy.scaling.half_range
+    back = (1.0 - gain) ** -np.arange(policy.horizon + 2.0)[:, None]
+    rows = (initial + back * (far - initial))[:, :ARM_JOINTS]
+    far_off = np.ones((policy.horizon, policy.posture_size))
+    elsewhere = Memory(np.zeros(policy.state_size), np.ones(policy.posture_size), far_off)
+    return time_to_resume(policy, elsewhere, rows, gain, limit, reset=True)
+
+
+def _followed(period: float) -> int:
+    return round(PATIENCE * RESUME_SECONDS / period)
 
 
 def judge(rows: Sequence[Row], period: float) -> dict[str, Any]:
-    """The report of a subtask's starts, plain types; `period`: of the ticks, s."""
+    """The report of the starts of one kind and rule, plain types; `period`: of the ticks, s."""
     limit = round(RESUME_SECONDS / period)
-    followed = round(PATIENCE * RESUME_SECONDS / period) + 1  # stands for None
-    predicted, measured = (np.array([followed if row[i] is None else row[i] for row in rows], int) for i in (2, 3))
+    followed = _followed(period) + 1  # stands for None
+    predicted = np.array([followed if row.foretold is None else row.foretold for row in rows], int)
+    measured = np.array([followed if row.resumed is None else row.resumed for row in rows], int)
     failed, foretold = measured > limit, predicted > limit
     # The largest level below all starts that failed.
     lowest = int(predicted[failed].min()) if failed.any() else followed
     inside = predicted <= min(limit, lowest - 1)
-    level = int(predicted[inside].max()) if inside.any() else None
     seconds = measured[~failed] * period
-    done = [row[4] for row in rows if row[4] is not None]
-    off = np.abs(predicted - measured)[(predicted < followed) & (measured < followed)]
+    scenes, done = np.array([row.scene for row in rows]), [row.done for row in rows if row.done is not None]
+    lost = len(np.unique(scenes[failed]))
+    off, left = np.abs(predicted - measured), np.array([row.left for row in rows])
+    both = (predicted < followed) & (measured < followed)
     return {
         "samples": len(rows),
         "not_resumed": int(failed.sum()),
         "bound": bound(int(failed.sum()), len(rows)),
+        # Starts of one scene share its picture: the bound of scenes asks no more than that scenes are independent.
+        "scenes": {
+            "samples": len(np.unique(scenes)), "failures": lost, "bound": bound(lost, len(np.unique(scenes))),
+        },
         "foretold": int(foretold.sum()),
         "foretold_wrongly": int((foretold != failed).sum()),
-        "largest_error_ticks": int(off.max(initial=0)),
-        "level_ticks": level,
+        "largest_error_ticks": int(off[both].max(initial=0)),
+        "level_ticks": int(predicted[inside].max()) if inside.any() else None,
         "inside": int(inside.sum()),
         "inside_bound": bound(0, int(inside.sum())) if inside.any() else 1.0,
+        "left_to_imagine_s": {
+            "resumed": float(np.median(left[~failed]) * period) if (~failed).any() else None,
+            "not_resumed": float(np.median(left[failed]) * period) if failed.any() else None,
+        },
         "time_s": {
             "median": float(np.median(seconds)), "p95": float(np.quantile(seconds, 0.95)), "max": float(seconds.max()),
         } if len(seconds) else None,
@@ -171,11 +294,28 @@ def judge(rows: Sequence[Row], period: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _words(rule: str, subtask: str, found: dict[str, Any]) -> str:
-    """The report of a rule and a subtask, in words."""
+def judge_runs(rows: Sequence[RunRow], period: float) -> dict[str, Any]:
+    """The report of the disturbed runs, plain types; `period`: of the ticks, s."""
+    limit, home = round(RESUME_SECONDS / period), [row for row in rows if row.came_home]
+    foretold = [row.foretold is None or row.foretold > limit for row in home]
+    failed = [row.resumed is None or row.resumed > limit for row in home]
+    off = [abs(row.foretold - row.resumed) for row in home if row.foretold is not None and row.resumed is not None]
+    return {
+        "samples": len(rows),
+        "came_home": len(home),
+        "foretold": sum(foretold),
+        "not_resumed": sum(failed),
+        "foretold_wrongly": sum(a != b for a, b in zip(foretold, failed, strict=True)),
+        "largest_error_ticks": max(off, default=0),
+        "bound": bound(sum(failed), len(home)) if home else 1.0,
+    }
+
+
+def _words(rule: str, kind: str, found: dict[str, Any]) -> str:
+    """The report of a rule and a kind of starts, in words."""
     time, done = found["time_s"], found["finished"]
     text = (
-        f"{rule}, subtask {subtask}: {found['not_resumed']} of {found['samples']} starts do not resume within "
+        f"{rule}, {kind}: {found['not_resumed']} of {found['samples']} starts do not resume within "
         f"{RESUME_SECONDS:g} s (95 % bound {found['bound']:.1e}), {found['foretold']} were foretold, "
         f"{found['foretold_wrongly']} wrongly; all {found['inside']} with V up to {found['level_ticks']} ticks resume"
     )

@@ -1,9 +1,10 @@
-"""Starts of a resumption in the whole system: the arm at home, the network anywhere.
+"""Starts of a resumption in the whole system: the arm comes home, the network is anywhere.
 
-The scene, the image and the can (on the desk or in the hand) are those of a switching point of an undisturbed episode.
-What varies is the rest of the hybrid state: the network's memory is that of a random tick of the same subtask, after it
-has imagined what follows for as long as a disturbance and a way home last; the arm is anywhere within the tolerance of
-the initial posture, having come straight.
+The scene, the image and the can (on the desk or in the hand) are those of a switching point of an undisturbed episode;
+or the can was taken from the hand meanwhile, which comes home closed, and stands somewhere on the desk. What varies is
+the rest of the hybrid state: the network's memory is that of a random tick of the same subtask, after it has imagined
+what follows for as long as a disturbance and a way home last; the arm is anywhere within the tolerance of the initial
+posture, and moves on as the LQR does, having come straight.
 """
 
 from dataclasses import dataclass
@@ -16,14 +17,17 @@ from pydrake.systems.framework import Context
 from diagrams.episodes.calibration import Calibration
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.rollout import Rollout
-from diagrams.episodes.switching import RESUMED
+from diagrams.episodes.switching import GUARD, RESUMED
 from diagrams.hybrid.box_gauge import BoxGauge
-from diagrams.world.names import ARM_JOINTS, CANS
+from diagrams.world.configuration import World
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
 from diagrams.world.station import can_body
 from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor, lifted
 
 IMAGINED_TICKS = (30, 60)  # since the memory's tick: of a disturbance and a way home, inclusive
 SUBTASKS = (1, 2)
+# Kinds of starts: the subtask in which the network was, and the one that is to be done.
+KINDS = {"pick": (1, 1), "place": (2, 2), "can taken": (2, 1)}
 
 
 @dataclass(frozen=True)
@@ -54,29 +58,37 @@ class SwitchingPoint:
 class Start:
     """The random part of a start."""
 
+    kind: str  # of KINDS
     memory: Memory
+    left: int  # ticks of the subtask that the network has still to imagine; negative: beyond its end
     offset: np.ndarray  # (7,) of the arm to the initial posture, rad
+    can_xy: np.ndarray  # (2,) m, world: where the can stands if it was taken
 
     @classmethod
-    def drawn(cls, point: SwitchingPoint, policy, rng: np.random.Generator) -> Self:
-        """A tick of the subtask and a posture within the tolerance, both uniform."""
-        memory = point.memories[rng.integers(len(point.memories))]
-        for _ in range(rng.integers(IMAGINED_TICKS[0], IMAGINED_TICKS[1] + 1)):
+    def drawn(cls, kind: str, point: SwitchingPoint, world: World, policy, rng: np.random.Generator) -> Self:
+        """A tick of the subtask, a posture within the tolerance and a place in the trained area, all uniform."""
+        tick = int(rng.integers(len(point.memories)))
+        imagined = int(rng.integers(IMAGINED_TICKS[0], IMAGINED_TICKS[1] + 1))
+        memory = point.memories[tick]
+        for _ in range(imagined):
             memory = memory.imagined(policy)
-        return cls(memory, rng.uniform(-HOME_TOLERANCE, HOME_TOLERANCE, ARM_JOINTS))
+        left = len(point.memories) - 1 - tick - imagined
+        offset = rng.uniform(-HOME_TOLERANCE, HOME_TOLERANCE, ARM_JOINTS)
+        return cls(kind, memory, left, offset, rng.uniform(*world.grid.bounds))
 
 
 class Resumptions:
     """The closed loop of a Rollout, begun at switching points."""
 
     def __init__(self, rollout: Rollout, calibration: Calibration | None):
-        """`calibration`: of the rollout's detector."""
+        """`rollout`: of a world whose network starts anew at home; `calibration`: of its detector."""
         self._calibration = calibration
         self.rollout, self.world, self.gain = rollout, rollout.world, BoxGauge.of(rollout.world).gain
         controller = rollout.controller
         self._network = controller.GetSubsystemByName("recurrent_policy")
         self._history = controller.GetSubsystemByName("posture_history")
         self._alpha_hold = controller.GetSubsystemByName("alpha_hold")
+        self._home_reset = controller.GetSubsystemByName("home_reset")
         self._ports = {
             name: (system, system.GetOutputPort(name))
             for system, name in (
@@ -92,13 +104,15 @@ class Resumptions:
         return self.rollout.simulator
 
     def switching_points(self, episode: Episode) -> tuple[list[SwitchingPoint], TaskMonitor]:
-        """Those of an undisturbed `episode`; of a subtask that failed there is none."""
+        """Those of an undisturbed `episode`; of a subtask that failed, or had a false alarm, there is none."""
         monitor, period = self.rollout.prepare(episode, self._calibration), self.world.timing.period
         begun: dict[int, tuple[Context, int]] = {}
-        memories: dict[int, list[Memory]] = {1: [], 2: []}
+        memories: dict[int, list[Memory]] = {subtask: [] for subtask in SUBTASKS}
         done, postures, subtask = set[int](), list[np.ndarray](), 1
         for k in range(1, round(TIME_LIMIT / period)):
             self._advance(k)
+            if self._value("alpha")[0] >= GUARD:
+                break
             if subtask not in begun:
                 begun[subtask] = self.simulator.get_context().Clone(), k
             postures.append(self._value("measured_posture"))
@@ -111,14 +125,15 @@ class Resumptions:
         return [SwitchingPoint(s, *begun[s], memories[s]) for s in SUBTASKS if s in done], monitor
 
     def resume(
-        self, point: SwitchingPoint, start: Start, monitor: TaskMonitor, limit: int, finish: int = 0
+        self, point: SwitchingPoint, start: Start, monitor: TaskMonitor, *, reset: bool, limit: int, finish: int = 0
     ) -> tuple[int | None, bool | None]:
-        """From `start`: ticks until the network has the arm, None beyond `limit`; and whether the subtask is done.
+        """From `start`: ticks until the network has the arm, None beyond `limit`; and whether the subtask is done then.
 
-        `finish`: ticks that the subtask has for that; 0: it is not run to its end, None. A start that has not resumed
-        has not done it.
+        `reset`: whether the network starts anew at home. `finish`: ticks that the subtask has; 0: it is not run to its
+        end, None, as without a resumption.
         """
-        self._begin(point, start)
+        self._begin(point, start, reset)
+        subtask = KINDS[start.kind][1]
         resumed, postures = None, list[np.ndarray]()
         for k in range(limit + 1):
             self._advance(point.tick + k + 1)
@@ -126,18 +141,18 @@ class Resumptions:
                 resumed = k
                 break
         if resumed is None or not finish:
-            return resumed, None if not finish else False
+            return resumed, None
         for k in range(resumed, resumed + finish):
             postures.append(self._value("measured_posture"))
-            if self._done(point.subtask, monitor, postures):
+            if self._done(subtask, monitor, postures):
                 return resumed, True
             self._advance(point.tick + k + 2)
         return resumed, False
 
     def way_home(self, offset: np.ndarray) -> np.ndarray:
-        """(N + 1, 7) scaled joints at the last ticks of the LQR's ideal way to `offset` (7, rad), the newest first."""
+        """(N + 2, 7) scaled joints of the LQR's ideal way to `offset` (7, rad): now and at the ticks before."""
         policy, initial = self.rollout.policy, self.world.initial_posture
-        rows = np.tile(initial, (policy.horizon + 1, 1))
+        rows = np.tile(initial, (policy.horizon + 2, 1))
         rows[:, :ARM_JOINTS] += offset / (1.0 - self.gain) ** np.arange(len(rows))[:, None]
         return policy.scaling.scale(rows)[:, :ARM_JOINTS]
 
@@ -162,7 +177,7 @@ class Resumptions:
         gap = self.rollout.station.finger_gap(self.simulator.get_context())
         return monitor.success(cans, np.array(postures), gap)
 
-    def _begin(self, point: SwitchingPoint, start: Start) -> None:
+    def _begin(self, point: SwitchingPoint, start: Start, reset: bool) -> None:
         """Puts a clone of the switching point's Context, with the start's memory and posture, into the simulator."""
         self.simulator.reset_context(point.context.Clone())
         root = self.simulator.get_mutable_context()
@@ -173,11 +188,15 @@ class Resumptions:
         initial = self.world.initial_posture[:ARM_JOINTS]
         plant.SetPositions(local, station.arm, initial + start.offset)
         plant.SetVelocities(local, np.zeros(plant.num_velocities()))
-        if point.subtask == 2:  # it is in the hand
+        plant.SetVelocities(local, station.arm, -self.gain * start.offset / self.world.timing.period)
+        if start.kind == "place":  # it is in the hand
             plant.SetFloatingBaseBodyPoseInWorldFrame(local, can, grasp.CalcPoseInWorld(local).multiply(X_GC))
+        elif start.kind == "can taken":
+            stands = RigidTransform(np.append(start.can_xy, CAN_HALF_HEIGHT))
+            plant.SetFloatingBaseBodyPoseInWorldFrame(local, can, stands)
         history = self._history.GetMyMutableContextFromRoot(root)
         rows = history.get_discrete_state(0).value().reshape(-1, self.rollout.policy.posture_size).copy()
-        rows[:, :ARM_JOINTS] = self.way_home(start.offset)[: len(rows)]
+        rows[:, :ARM_JOINTS] = self.way_home(start.offset)[1:]
         history.SetDiscreteState(0, rows.ravel())
         # The mode is `return`: till the tick the network has no say in the command.
         self._alpha_hold.GetMyMutableContextFromRoot(root).SetDiscreteState(0, [1.0])
@@ -185,4 +204,6 @@ class Resumptions:
             self._network.GetMyMutableContextFromRoot(root), start.memory.hidden, start.memory.predicted,
             start.memory.recalled,
         )  # fmt: skip
+        if not reset:
+            self._home_reset.set_tolerance(self._home_reset.GetMyMutableContextFromRoot(root), -np.ones(ARM_JOINTS))
         self.simulator.Initialize()
