@@ -37,8 +37,9 @@ class SwitchedController(Diagram):
         recalled_postures: ((N + 1) M,) m^R_{k+1}, then m^R_{k-1}, ..., m^R_{k-N}, *scaled*, row by row.
         measured_posture: (M,) m_k.
         features: (F,) of the image, in [-1, 1]. Encodes when pulled.
-        network_input: (M + F,) x_k, *scaled*: what the update at tick k feeds to the network. Encodes when pulled, not
-            where alpha_k is exactly 1: pull it at a tick, where the update needs it too.
+        network_input: (M + F,) x_k, *scaled*: what the update at tick k feeds to the network, unless that starts anew
+            (see HomeReset). Encodes when pulled, not where alpha_k is exactly 1: pull it at a tick, where the update
+            needs it too.
 
     Inside, postures are scaled to [-1, 1] by the bounds in the policy's weight file. The updates of tick k read image
     and posture as they stand then, and alpha_k, which the detector makes of that posture and of state from the tick

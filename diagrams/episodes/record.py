@@ -29,7 +29,7 @@ class Record:
     alpha: np.ndarray  # (n,) in [0, 1]
     errors: np.ndarray  # (n, E) of the detector; of the recall, l_n / mean_l_n
     hidden_state: np.ndarray  # (n, S) c_k, no unit
-    network_input: np.ndarray  # (n, 38) x_k, scaled: the posture and the features that the network was fed
+    network_input: np.ndarray  # (n, 38) x_k, scaled: posture and features for the network, where it did not start anew
     predicted_features: np.ndarray  # (n, 30) f^R_{k+1}, in [-1, 1]
     active: np.ndarray  # (n,) 1 while the disturbance is under way, else 0
     can_poses: np.ndarray  # (n, 14) of the can to pick, then of the other: quaternion w, x, y, z and position, m, world

@@ -58,7 +58,7 @@ class Defeat(NetworkArguments):
             raise InputError(f"--kinds {' '.join(self.kinds)} is no choice of A and B: give one or both of them")
 
     def run(self) -> int:
-        """Estimates; returns 0 if no estimate contradicts brute force, else 1."""
+        """Estimates; returns 0 if none contradicts brute force, and a clone goes on as the whole episode, else 1."""
         from diagrams.drawing.defeat import save_defeat
         from models.inference import Encoder, Policy
 
@@ -78,7 +78,9 @@ class Defeat(NetworkArguments):
         save_defeat(found, self.out / "defeat.png")
         for kind, entry in found.items():
             print(words(kind, entry["report"]))
-        return 1 if any(entry["report"]["overlap"] is False for entry in found.values()) else 0
+        reports = [entry["report"] for entry in found.values()]
+        apart = any(entry["overlap"] is False for entry in reports)
+        return 1 if apart or any(entry["same_bits"]["same"] < entry["same_bits"]["of"] for entry in reports) else 0
 
     def _of_kind(self, kind: str, world: World, cases: Cases, rnn: str) -> dict[str, Any]:
         space = EpisodeSpace(world, kind, rnn)
@@ -179,6 +181,7 @@ def report(
         tasks = of_count(sum(map(_task_failed, brute)), len(brute))
         found["brute"] = counted.plain() | {
             "episodes": len(brute), "void": sum(case.void for case in brute), "task": tasks.plain(),
+            "share_of_episodes": len(distinct) / len(brute),  # that splitting took
         }  # fmt: skip
         found["overlap"] = switching.overlaps(counted)
         found["task"]["overlap"] = task.overlaps(tasks)

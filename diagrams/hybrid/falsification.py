@@ -28,7 +28,7 @@ from models.errors import InputError
 class Falsify(NetworkArguments):
     """The smallest disturbance that defeats the switched controller, by three samplers with the same budget."""
 
-    trials: int = 40  # simulated, a sampler; with more of them a search goes on from what is in --out
+    trials: int = 100  # simulated, a sampler; with more of them a search goes on from what is in --out
     scenes: int = 4  # validation scenes among which it chooses
     workers: int = 2
 

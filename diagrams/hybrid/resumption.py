@@ -157,7 +157,6 @@ class Row:
     scene: int  # seed of its episode
     rule: str  # of RESUMPTIONS
     kind: str  # of KINDS
-    farthest_deg: float  # largest deviation of a joint
     left: int  # ticks of its subtask that the network had still to imagine
     foretold: int | None  # V; None: more than the ticks that are followed
     resumed: int | None  # ticks; None: as above
@@ -200,14 +199,13 @@ def run_scene(given: SceneJob) -> list[Row]:
         for i in range(STARTS_A_SCENE if point is not None else 0):
             assert point is not None
             start = Start.drawn(kind, point, world, policy, rng)
-            farthest = float(np.rad2deg(np.abs(start.offset).max()))
             for rule in RESUMPTIONS:
                 reset = rule == "reset"
                 way = system.way_home(start.offset)
                 foretold = time_to_resume(policy, start.memory, way, system.gain, limit, reset)
                 finish = round(FINISH_SECONDS / period) if i == 0 and rule == job.world.resumption else 0
                 resumed, done = system.resume(point, start, monitor, reset=reset, limit=limit, finish=finish)
-                found.append(Row(job.seed, rule, kind, farthest, start.left, foretold, resumed, done))
+                found.append(Row(job.seed, rule, kind, start.left, foretold, resumed, done))
     return found
 
 

@@ -35,7 +35,7 @@ HORIZON = 2
 
 
 def row(foretold, resumed, done=None, scene=0, left=0, rule="reset", kind="pick"):
-    return Row(scene, rule, kind, 1.0, left, foretold, resumed, done)
+    return Row(scene, rule, kind, left, foretold, resumed, done)
 
 
 def test_judge_by_hand():
