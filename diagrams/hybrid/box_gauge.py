@@ -75,10 +75,6 @@ class BoxGauge:
         """Largest level of V on which every |d_j| <= `bound`, rad, >= core."""
         return float((bound - self.core) / (np.maximum(self.up, self.down).max() - self.core))
 
-    def step(self, deviation: np.ndarray) -> np.ndarray:
-        """What the LQR adds to deviations (..., 7) in a tick, within the joints' speeds; rad."""
-        return np.clip(-self.gain * deviation, -self.max_step, self.max_step)
-
     @property
     def ideal_rate(self) -> float:
         """V[k+1] <= rate V[k] in the ideal loop, on the whole box."""
