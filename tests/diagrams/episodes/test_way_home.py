@@ -91,6 +91,10 @@ def test_distances_of_scoring_by_hand(station, hand):
     assert see(above, 0.053, closed=True) == (pytest.approx(0.04, abs=0.004), "can_on_shelf")
     # The held can stands on the desk: it touches it; where the fingers are open it is not held.
     assert see(grasping, 0.053, closed=True) == (pytest.approx(0.0, abs=1e-3), "desk")
+    # 35 mm up between the fingers, which touch it: still held.
+    slid = hand.solve_ik(can + [0, 0, 0.035])
+    assert see(slid, 0.046, closed=True) == (pytest.approx(0.0, abs=1e-3), "desk")
+    assert see(slid, 0.046, closed=False)[1] == "can_to_pick"
     far = hand.solve_ik(can + [0, 0, 0.25])
     assert see(far, 0.08, closed=False) == (WITHIN, None)
     assert len(far) == ARM_JOINTS
