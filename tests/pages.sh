@@ -53,7 +53,7 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /analysis\.py linearize/s/--samples 20/--samples 2/
 /analysis\.py guard/s/--grid 41 --rays 16/--grid 11 --rays 2/
 /analysis\.py falsify/s/$/ --trials 1 --scenes 1/
-/analysis\.py defeat/s/--brute [0-9]+/--kinds B --population 4 --kept 0.5 --repetitions 2 --brute 2/
+/analysis\.py defeat/s/--brute .*/--kinds B --population 4 --kept 0.5 --repetitions 2 --brute 2/
 s/^(.*--scenario )([^ ]*random-[0-9]+\.yaml)/mkdir -p outputs\/analysis \&\& echo "seed: 0" > \2 \&\& \1\2/
 SED
 }
