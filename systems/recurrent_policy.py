@@ -17,8 +17,9 @@ class RecurrentPolicy(LeafSystem):
 
     Inputs:
         network_input: (M + F,) the scaled posture and the image features, x_k of Eqs. 7 and 8; dimensionless.
-        reset: (1,) above 1/2: the update takes the state before the first tick, and does not step the network. Left
-            unconnected, it never does.
+        reset: (1,) above 1/2: the update does not step the network but takes c_0, and predicts the initial posture;
+            what is recalled moves on by a row, as in a network that rests there. So all that was recalled before is
+            gone after N + 1 such ticks, not at once. Left unconnected, there is no reset.
     Outputs (of the state alone, none has direct feedthrough; after the update of tick k):
         predicted_posture: (M,) m^R_{k+1}, scaled, clipped to [-1, 1].
         predicted_features: (F,) f^R_{k+1}, clipped to [-1, 1].
@@ -50,10 +51,10 @@ class RecurrentPolicy(LeafSystem):
 
         self._network_input = self.DeclareVectorInputPort("network_input", self._posture_size + self._feature_size)
         self._reset = self.DeclareVectorInputPort("reset", 1)
-        initial = (np.zeros(self._feature_size), np.tile(posture, self._horizon + 1), initial_state)
-        groups = [self.DeclareDiscreteState(value) for value in initial]
-        self._predicted_features, self._recalled, self._hidden = groups
-        self._initial = list(zip(groups, initial, strict=True))
+        self._initial = np.zeros(self._feature_size), posture, initial_state
+        self._predicted_features = self.DeclareDiscreteState(self._initial[0])
+        self._recalled = self.DeclareDiscreteState(np.tile(posture, self._horizon + 1))
+        self._hidden = self.DeclareDiscreteState(initial_state)
         of_recall = {self.discrete_state_ticket(self._recalled)}
         self.DeclareVectorOutputPort("predicted_posture", self._posture_size, self._calc_prediction, of_recall)
         self.DeclareStateOutputPort("predicted_features", self._predicted_features)
@@ -75,8 +76,11 @@ class RecurrentPolicy(LeafSystem):
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         if self._reset.HasValue(context) and self._reset.Eval(context)[0] > 0.5:
-            for group, value in self._initial:
-                discrete_state.set_value(group, value)
+            features, posture, hidden = self._initial
+            before = context.get_discrete_state(self._recalled).value()
+            discrete_state.set_value(self._recalled, np.concatenate((posture, before[: -self._posture_size])))
+            discrete_state.set_value(self._predicted_features, features)
+            discrete_state.set_value(self._hidden, hidden)
             return
         x = self._network_input.Eval(context)
         y, hidden, recalled = self._policy.step(x, context.get_discrete_state(self._hidden).value().copy())

@@ -26,7 +26,6 @@ def time_to_resume(policy, memory: Memory, rows: np.ndarray, gain: float, limit:
     """
     initial = policy.scaling.scale(policy.initial_posture)
     joints, errors = rows, np.array(policy.mean_errors)
-    anew = np.tile(initial, (policy.horizon + 1, 1))
     recalled = np.vstack((memory.predicted[: policy.posture_size], memory.recalled))
     for k in range(limit + 1):
         # m_{k-1}, row 1, has no counterpart: see RecallDetector.
@@ -37,7 +36,7 @@ def time_to_resume(policy, memory: Memory, rows: np.ndarray, gain: float, limit:
         now = initial[:ARM_JOINTS] + (1.0 - gain) * (joints[0] - initial[:ARM_JOINTS])
         joints = np.vstack((now, joints))[: policy.horizon + 2]
         if reset:
-            recalled = anew
+            recalled = np.vstack((initial, recalled[:-1]))
         else:
             memory = memory.imagined(policy)
             recalled = np.vstack((memory.predicted[: policy.posture_size], memory.recalled))

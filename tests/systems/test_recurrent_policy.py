@@ -79,8 +79,9 @@ def test_a_policy_that_writes_to_its_state_does_no_harm():
         assert np.abs(outputs(system, context)["hidden_state"]).max() < 2.0
 
 
-def test_reset_takes_the_state_before_the_first_tick_and_does_not_step():
-    policy = FakePolicy()
+def test_reset_takes_c_0_and_forgets_a_row_a_tick():
+    """N is 2: after a tick the prediction is the initial posture, after three all that is recalled."""
+    policy = FakePolicy(horizon=2)
     system = RecurrentPolicy(policy, PERIOD)
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
@@ -88,11 +89,15 @@ def test_reset_takes_the_state_before_the_first_tick_and_does_not_step():
     system.GetInputPort("network_input").FixValue(context, np.full(8, 0.5))
     system.GetInputPort("reset").FixValue(context, [0.0])
     simulator.AdvanceTo(0.5 * PERIOD)
-    assert not np.array_equal(outputs(system, context)["hidden_state"], before["hidden_state"])
+    stepped = outputs(system, context)["recalled_postures"].reshape(3, 4)
     system.GetInputPort("reset").FixValue(context, [1.0])
-    simulator.AdvanceTo(1.5 * PERIOD)
-    after = outputs(system, context)
-    assert all(np.array_equal(after[name], value) for name, value in before.items())
+    home = before["predicted_posture"]
+    for k, rows in ((1, [home, stepped[0], stepped[1]]), (2, [home, home, stepped[0]]), (3, [home] * 3)):
+        simulator.AdvanceTo((k + 0.5) * PERIOD)
+        after = outputs(system, context)
+        for name in ("hidden_state", "predicted_posture", "predicted_features"):
+            assert np.array_equal(after[name], before[name])
+        assert np.array_equal(after["recalled_postures"].reshape(3, 4), rows)
     assert len(policy.inputs) == 1
 
 

@@ -92,7 +92,7 @@ def test_v_by_hand_is_what_the_network_has_left_to_imagine(ticks):
     policy = Imagining()
     at_home = np.zeros((HORIZON + 2, 7))
     assert time_to_resume(policy, policy.memory(ticks), at_home, 0.1, 20, reset=False) == ticks
-    assert time_to_resume(policy, policy.memory(ticks), at_home, 0.1, 20, reset=True) == min(ticks, 1)
+    assert time_to_resume(policy, policy.memory(ticks), at_home, 0.1, 20, reset=True) == (HORIZON + 1 if ticks else 0)
 
 
 def test_v_is_none_beyond_the_limit():
