@@ -47,14 +47,13 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /calibrate\.py/s/--candidates [^ ]+/--candidates models\/weights\/lstm.onnx/
 /baselines\.py/s/lstm\*\.onnx/lstm.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
-# Analyses: small samples; a scenario of its own where one that a search found is meant.
+# Analyses: small samples.
 /analysis\.py return/s/$/ --samples 20 --draws 5/
-/analysis\.py resume/s/$/ --starts 30 --finished 1/
+/analysis\.py resume/s/$/ --starts 15 --runs 2/
 /analysis\.py linearize/s/--samples 20/--samples 2/
 /analysis\.py guard/s/--grid 41 --rays 16/--grid 11 --rays 2/
 /analysis\.py falsify/s/$/ --trials 1 --scenes 1/
 /analysis\.py defeat/s/--brute .*/--kinds B --population 4 --kept 0.5 --repetitions 2 --brute 2/
-s/^(.*--scenario )([^ ]*random-[0-9]+\.yaml)/mkdir -p outputs\/analysis \&\& echo "seed: 0" > \2 \&\& \1\2/
 SED
 }
 
