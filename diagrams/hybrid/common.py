@@ -13,6 +13,7 @@ from models.errors import InputError
 if TYPE_CHECKING:
     from diagrams.episodes.episode import Episode
     from diagrams.episodes.rollout import Rollout
+    from models.inference import Encoder, Policy
 
 
 @dataclass
@@ -74,6 +75,15 @@ class NetworkArguments(Arguments):
         from diagrams.episodes.calibration import policy_file
 
         return policy_file(self.weights, self.rnn)
+
+    def calibrated(self) -> tuple["Encoder", "Policy", float]:
+        """The networks, and gamma; raises InputError where the policy has no calibration, WeightsError as both do."""
+        from models.inference import Encoder, Policy
+
+        encoder, policy = Encoder(self.encoder_path), Policy(self.policy_path)
+        if policy.gamma is None:
+            raise InputError(f"{self.policy_path} has no calibration: run diagrams/calibrate.py on it")
+        return encoder, policy, float(policy.gamma)
 
     def closed_loop(self, kind: str = "none") -> tuple["Rollout", "Episode"]:
         """The closed loop, and the episode of `seed` under a disturbance of `kind`; raises InputError as both do."""

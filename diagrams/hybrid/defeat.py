@@ -60,17 +60,14 @@ class Defeat(NetworkArguments):
     def run(self) -> int:
         """Estimates; returns 0 if none contradicts brute force, and a clone goes on as the whole episode, else 1."""
         from diagrams.drawing.defeat import save_defeat
-        from models.inference import Encoder, Policy
 
-        world, encoder, policy = self.world(), Encoder(self.encoder_path), Policy(self.policy_path)
-        if policy.gamma is None:
-            raise InputError(f"{self.policy_path} has no calibration: run diagrams/calibrate.py on it")
+        world, (encoder, policy, gamma) = self.world(), self.calibrated()
         chosen = {"weights": policy.hash, "encoder": encoder.hash, "branch": self.branch}
         identity = fingerprint(world, "diagrams/hybrid", **chosen)
         job = Job(world, self.encoder_path, Controller(self.policy_path))
         found: dict[str, dict[str, Any]] = {}
         with RowStore(self.out / "defeat_cases.jsonl", identity) as store, Pool(self.workers) as pool:
-            cases = Cases(job, float(policy.gamma), self.branch, store, pool)
+            cases = Cases(job, gamma, self.branch, store, pool)
             for kind in self.kinds:
                 found[kind] = self._of_kind(kind, world, cases, policy.name)
         sizes = {name: getattr(self, name) for name in ("population", "kept", "moves", "repetitions")}

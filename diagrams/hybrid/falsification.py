@@ -40,12 +40,9 @@ class Falsify(NetworkArguments):
         import optuna  # noqa: F401
 
         from diagrams.drawing.falsification import save_search
-        from models.inference import Encoder, Policy
 
-        world, encoder, policy = self.world(), Encoder(self.encoder_path), Policy(self.policy_path)
-        if policy.gamma is None:
-            raise InputError(f"{self.policy_path} has no calibration: run diagrams/calibrate.py on it")
-        gamma, sampler = float(policy.gamma), EpisodeSampler(world)
+        world, (encoder, policy, gamma) = self.world(), self.calibrated()
+        sampler = EpisodeSampler(world)
         seeds = episode_seeds("validation", self.seed, self.scenes)
         scenes = [sampler.sample(seed, "none", rnn=policy.name) for seed in seeds]
         chosen = {"seed": self.seed, "scenes": self.scenes, "weights": policy.hash, "encoder": encoder.hash}

@@ -22,7 +22,7 @@ from diagrams.episodes.store import RowStore
 from diagrams.episodes.switching import RESUME_SECONDS
 from diagrams.hybrid.box_gauge import BoxGauge
 from diagrams.hybrid.common import NetworkArguments
-from diagrams.hybrid.resumption_starts import KINDS, Memory, Resumptions, Start
+from diagrams.hybrid.resumption_starts import KINDS, Memory, Resumptions, Start, way_home
 from diagrams.hybrid.resumption_time import time_to_resume
 from diagrams.hybrid.return_proof import bound
 from diagrams.world.configuration import RESUMPTIONS, World
@@ -49,11 +49,8 @@ class Resume(NetworkArguments):
     def run(self) -> int:
         """Samples; returns 0 if under the world's rule every start resumes, else 1."""
         from diagrams.drawing.resumption import save_resumption
-        from models.inference import Encoder, Policy
 
-        world, encoder, policy = self.world(), Encoder(self.encoder_path), Policy(self.policy_path)
-        if policy.gamma is None:
-            raise InputError(f"{self.policy_path} has no calibration: run diagrams/calibrate.py on it")
+        world, (encoder, policy, _) = self.world(), self.calibrated()
         if self.runs > MOST_SCENES:
             raise InputError(f"--runs {self.runs} is too large: choose at most {MOST_SCENES}")
         chosen = {"weights": policy.hash, "encoder": encoder.hash}
@@ -237,10 +234,7 @@ def worst_ticks(policy, world: World) -> int | None:
     The recall's errors are sums of squares of the joints' deviations. None: more than the ticks that are followed.
     """
     gain, limit = BoxGauge.of(world).gain, _followed(world.timing.period)
-    initial = policy.scaling.scale(policy.initial_posture)
-    far = initial + np.append(np.full(ARM_JOINTS, HOME_TOLERANCE), 0.0) / policy.scaling.half_range
-    back = (1.0 - gain) ** -np.arange(policy.horizon + 2.0)[:, None]
-    rows = (initial + back * (far - initial))[:, :ARM_JOINTS]
+    rows = way_home(policy, np.full(ARM_JOINTS, HOME_TOLERANCE), gain)
     far_off = np.ones((policy.horizon, policy.posture_size))
     elsewhere = Memory(np.zeros(policy.state_size), np.ones(policy.posture_size), far_off)
     return time_to_resume(policy, elsewhere, rows, gain, limit, reset=True)

@@ -77,6 +77,16 @@ class Start:
         return cls(kind, memory, left, offset, rng.uniform(*world.grid.bounds))
 
 
+def way_home(policy, offset: np.ndarray, gain: float) -> np.ndarray:
+    """(N + 2, 7) scaled joints of the LQR's ideal way to `offset` (7, rad) from home: now and at the ticks before.
+
+    `policy`: see models/inference.py; `gain`: of the LQR, a tick.
+    """
+    rows = np.tile(policy.initial_posture, (policy.horizon + 2, 1))
+    rows[:, :ARM_JOINTS] += offset / (1.0 - gain) ** np.arange(len(rows))[:, None]
+    return policy.scaling.scale(rows)[:, :ARM_JOINTS]
+
+
 class Resumptions:
     """The closed loop of a Rollout, begun at switching points."""
 
@@ -150,11 +160,8 @@ class Resumptions:
         return resumed, False
 
     def way_home(self, offset: np.ndarray) -> np.ndarray:
-        """(N + 2, 7) scaled joints of the LQR's ideal way to `offset` (7, rad): now and at the ticks before."""
-        policy, initial = self.rollout.policy, self.world.initial_posture
-        rows = np.tile(initial, (policy.horizon + 2, 1))
-        rows[:, :ARM_JOINTS] += offset / (1.0 - self.gain) ** np.arange(len(rows))[:, None]
-        return policy.scaling.scale(rows)[:, :ARM_JOINTS]
+        """See the function of that name."""
+        return way_home(self.rollout.policy, offset, self.gain)
 
     def _advance(self, tick: int) -> None:
         """To half a plant step before that tick: all outputs are those of the tick before."""
