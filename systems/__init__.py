@@ -7,6 +7,7 @@ Every constructor argument is a physical quantity; everything that a system reme
 image_encoder          image -> features
 recurrent_policy       network input -> predicted posture and features, recalled postures (discrete state)
 home_reset             when the network starts anew: the arm is at home, and what it imagines is not
+finger_release         fingers that hold nothing open where the network starts anew
 posture_history        posture -> the posture now and those of the last N + 1 ticks (discrete state)
 loop_closer            Eqs. 7 and 8: what the network is fed
 detectors              the one list of the detectors

@@ -1,11 +1,12 @@
 """The whole controller: image and posture in, command out (Fig. 2), for any arm with any number of joints."""
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import AffineSystem, ZeroOrderHold
 
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
 from systems.detector import check_detector
+from systems.finger_release import FingerRelease
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.loop_closer import LoopCloser
@@ -20,13 +21,14 @@ class SwitchedController(Diagram):
     .. pydrake_system::
 
         name: SwitchedController
-        input_ports: [rgb_image, posture]
+        input_ports: [rgb_image, posture]  # and finger_gaps, where fingers that hold nothing open at home
         output_ports: [desired_posture, rnn_step, regulator_step, alpha, errors, hidden_state, predicted_features,
           recalled_postures, measured_posture, features, network_input]
 
     Inputs (read at the ticks only):
         rgb_image: ImageRgba8U of image_width x image_height pixels.
         posture: (M,) physical units: measured joint angles (rad), then the finger openings as commanded (m).
+        finger_gaps: (M - J,) these openings as measured, m; only with `empty_below`.
     Outputs (physical units; constant between ticks, but for the last two, which alone have direct feedthrough):
         desired_posture: (M,) the command m_k + dm.
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
@@ -65,6 +67,7 @@ class SwitchedController(Diagram):
         image_width: int = 112,
         image_height: int = 112,
         home_tolerance=None,
+        empty_below=None,
     ):
         """
         Args:
@@ -82,6 +85,8 @@ class SwitchedController(Diagram):
             image_width, image_height: of the image at the port, pixels.
             home_tolerance: rad; the network starts anew at home, within so much a joint: see HomeReset. None: never,
                 as in the paper.
+            empty_below: m; where it starts anew, fingers measured to be nearer than this hold nothing and open: see
+                FingerRelease. None: they stay as they are.
         """
         super().__init__()
         period = require_positive("period", period)
@@ -140,6 +145,8 @@ class SwitchedController(Diagram):
             wire(detector, home, "alpha")
             builder.Connect(scale.get_output_port(), home.GetInputPort("posture"))
             wire(home, network, "reset")
+        elif empty_below is not None:
+            raise ValueError(f"empty_below is {empty_below} without a home_tolerance: give both, or none.")
         # Between the ticks the detector compares the posture of now with the prediction of the next tick: what it said
         # at the tick is held.
         holds = {
@@ -164,19 +171,35 @@ class SwitchedController(Diagram):
             builder.Connect(detector.GetOutputPort(name), hold.get_input_port())
         builder.Connect(holds["alpha"].get_output_port(), mixer.GetInputPort("alpha"))
 
-        def export_unscaled(port, name: str, offset: np.ndarray | float) -> None:
+        def unscaled(port, name: str, offset: np.ndarray | float) -> OutputPort:
             unscale = affine(f"{name}_unscaling", half_range, offset * np.ones(size))  # a difference has no offset
             builder.Connect(port, unscale.get_input_port())
-            builder.ExportOutput(unscale.get_output_port(), name)
+            return unscale.get_output_port()
 
-        export_unscaled(mixer.GetOutputPort("desired_posture"), "desired_posture", centre)
+        command = unscaled(mixer.GetOutputPort("desired_posture"), "desired_posture", centre)
+        if empty_below is not None:
+            fingers = np.ones(size - joints)
+            limits = dict(opening=finger_openings[1] * fingers, empty_below=empty_below * fingers)
+            release = builder.AddNamedSystem(
+                "finger_release", FingerRelease(posture_size=size, joints=joints, **limits)
+            )
+            reset = builder.AddNamedSystem("reset_hold", ZeroOrderHold(period, 1))
+            gaps = builder.AddNamedSystem("finger_gaps_hold", ZeroOrderHold(period, len(fingers)))
+            builder.Connect(home.get_output_port(), reset.get_input_port())
+            builder.ExportInput(gaps.get_input_port(), "finger_gaps")
+            for port, name in ((command, "desired_posture"), (reset.get_output_port(), "reset"),
+                               (gaps.get_output_port(), "finger_gaps")):  # fmt: skip
+                builder.Connect(port, release.GetInputPort(name))
+            command = release.get_output_port()
+        builder.ExportOutput(command, "desired_posture")
         for name in ("rnn_step", "regulator_step"):
-            export_unscaled(mixer.GetOutputPort(name), name, 0.0)
+            builder.ExportOutput(unscaled(mixer.GetOutputPort(name), name, 0.0), name)
         for name, hold in holds.items():
             builder.ExportOutput(hold.get_output_port(), name)
         for name in ("hidden_state", "predicted_features", "recalled_postures"):
             builder.ExportOutput(network.GetOutputPort(name), name)
-        export_unscaled(history.GetOutputPort("posture"), "measured_posture", centre)
+        measured = unscaled(history.GetOutputPort("posture"), "measured_posture", centre)
+        builder.ExportOutput(measured, "measured_posture")
         builder.ExportOutput(image_encoder.GetOutputPort("features"), "features")
         builder.ExportOutput(closer.GetOutputPort("network_input"), "network_input")
         builder.BuildInto(self)

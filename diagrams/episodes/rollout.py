@@ -90,6 +90,7 @@ class Rollout:
                 image_width=world.camera.width,
                 image_height=world.camera.height,
                 home_tolerance=HOME_TOLERANCE if world.resumption == "reset" else None,
+                empty_below=world.empty_below if world.releases else None,
             )
         except ValueError as error:
             raise InputError(f"the controller cannot be built: {error}") from error
@@ -101,6 +102,8 @@ class Rollout:
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
         builder.Connect(station.GetOutputPort("rgb_image"), controller.GetInputPort("rgb_image"))
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
+        if world.releases:
+            builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
         self._command = add_clearance_filter(
             builder, world, station, *(controller.GetOutputPort(name) for name in FILTERED)
         )

@@ -118,11 +118,18 @@ class World:
     closed_opening: float = 0.03  # commanded gap of the closed fingers, m: they stall on the can
     close_below: float = 0.045  # predicted gap below which closed fingers are commanded, m
     open_above: float = 0.065  # predicted gap above which open fingers are commanded, m
+    # Measured gap below which fingers hold nothing, m: they open where the network starts anew. 0: they stay closed.
+    empty_below: float = 0.035
 
     @property
     def initial_posture(self) -> np.ndarray:
         """(8,) joint angles (rad) and open fingers (m)."""
         return np.append(np.deg2rad(self.initial_joints_deg), self.opening)
+
+    @property
+    def releases(self) -> bool:
+        """Whether fingers that hold nothing open at home, where the network starts anew."""
+        return self.resumption == "reset" and self.empty_below > 0.0
 
     def check(self) -> None:
         """Raises InputError for a value that makes no world."""
@@ -175,6 +182,11 @@ class World:
             raise InputError(
                 f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: "
                 "choose 0 <= closed_opening < opening"
+            )
+        if not self.closed_opening < self.empty_below <= self.close_below and self.empty_below != 0.0:
+            raise InputError(
+                f"world.empty_below {self.empty_below} m does not fit: choose more than closed_opening "
+                f"{self.closed_opening}, at most close_below {self.close_below}, or 0 (never)"
             )
         if not self.closed_opening <= self.close_below < self.open_above <= self.opening:
             raise InputError(

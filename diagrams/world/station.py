@@ -102,6 +102,7 @@ class PickPlaceStation(Diagram):
         - can_place
         output_ports:
         - posture
+        - finger_gap
         - rgb_image
         - can_poses
         - approach_distance
@@ -110,8 +111,8 @@ class PickPlaceStation(Diagram):
 
     - `desired_posture` (8): joint angles, rad, and gap of the fingers, m, that the servo tracks.
     - `can_place` (2): see `declare_can_place`; need not be connected.
-    - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m (the measured one stalls on
-      the can).
+    - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m.
+    - `finger_gap` (1): that gap as measured, m; it stalls on the can.
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
     - `can_poses` (14): see ApproachMeter.
     - `approach_distance` (1): see ApproachMeter. Truth: for scoring and disturbances, never for the controller.
@@ -191,6 +192,9 @@ class PickPlaceStation(Diagram):
         builder.Connect(joints.get_output_port(), posture.get_input_port(0))
         builder.Connect(opening.get_output_port(), posture.get_input_port(1))
         builder.ExportOutput(posture.get_output_port(0), "posture")
+        gap = builder.AddNamedSystem("finger_gap", MatrixGain(np.array([[1.0, 1.0, 0.0, 0.0]])))
+        builder.Connect(self.plant.get_state_output_port(self.gripper), gap.get_input_port())
+        builder.ExportOutput(gap.get_output_port(), "finger_gap")
 
     def _wire_gravity_compensation(self, builder: DiagramBuilder) -> None:
         self.arm_plant = arm_plant()
@@ -266,8 +270,8 @@ class PickPlaceStation(Diagram):
         self.approach_meter.set_place(self.approach_meter.GetMyMutableContextFromRoot(context), self.spot(vacant))
 
     def finger_gap(self, context: Context) -> float:
-        """Measured gap of the fingers, m, in a root's Context. Truth: for scoring, never for the controller."""
-        return float(self.plant.GetPositions(self.plant.GetMyContextFromRoot(context), self.gripper).sum())
+        """Measured gap of the fingers, m, in a root's Context."""
+        return float(self.GetOutputPort("finger_gap").Eval(self.GetMyContextFromRoot(context))[0])
 
     def spot(self, name: str) -> np.ndarray:
         """See `spot_centre`."""
