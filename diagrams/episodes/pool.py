@@ -16,6 +16,7 @@ from typing import Any, Self, TypeVar
 
 from models.errors import InputError
 
+MOST_WORKERS = 1000
 ATTEMPTS = 3  # of a job under which workers die
 J = TypeVar("J")
 R = TypeVar("R")
@@ -30,12 +31,11 @@ class Pool:
     """Runs jobs on `workers` processes; a context manager. With 0 workers the jobs run in the calling thread."""
 
     def __init__(self, workers: int):
-        """Raises InputError for a negative number of workers."""
-        if workers < 0:
-            raise InputError(f"the number of workers {workers} is too small: choose 1 or more")
+        """Raises InputError for a number of workers outside of 0 to MOST_WORKERS."""
+        if not 0 <= workers <= MOST_WORKERS:
+            raise InputError(f"the number of workers {workers} is out of range: choose from 1 to {MOST_WORKERS}")
         self._workers, self._idle = workers, SimpleQueue[ProcessPoolExecutor]()
-        for _ in range(workers):
-            self._idle.put(_worker())
+        self._unmade, self._making = workers, threading.Lock()  # a worker is made when there is a job for it
 
     def __enter__(self) -> Self:
         return self
@@ -62,7 +62,12 @@ class Pool:
             while waiting or running:
                 while waiting and (worker := self._take(block=not running)) is not None:
                     job, attempt = waiting.popleft()
-                    running[worker.submit(function, job)] = worker, job, attempt
+                    try:
+                        future = worker.submit(function, job)
+                    except BrokenProcessPool:  # it died while it had nothing to do
+                        worker = _worker()
+                        future = worker.submit(function, job)
+                    running[future] = worker, job, attempt
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     worker, job, attempt = running.pop(future)
                     died = isinstance(future.exception(), BrokenProcessPool)
@@ -78,10 +83,18 @@ class Pool:
                         yield job, given_up(job, gone)
         finally:
             for future, (worker, _, _) in running.items():
-                future.exception()  # waits: a worker is handed back when it is free
-                self._idle.put(worker)
+                # Waits: a worker is handed back when it is free.
+                self._idle.put(_worker() if isinstance(future.exception(), BrokenProcessPool) else worker)
 
     def _take(self, block: bool) -> ProcessPoolExecutor | None:
+        try:
+            return self._idle.get_nowait()
+        except Empty:
+            pass
+        with self._making:
+            if self._unmade:
+                self._unmade -= 1
+                return _worker()
         try:
             return self._idle.get(block)
         except Empty:

@@ -82,8 +82,8 @@ def load_record(path: Path) -> tuple[Record, dict]:
             text = json.loads(str(file["text"]))
             arrays = {name: file[name] for name in ARRAYS}
         return Record(**arrays, events=[(float(t), str(what)) for t, what in text["events"]]), text["outcome"]
-    except Exception as error:  # numpy, zip, zlib and json raise a dozen types for a damaged file
-        raise InputError(f"{path} holds no record ({' '.join(str(error).split())}): {_REMEDY}") from error
+    except Exception as error:  # numpy, zip, zlib and json raise a dozen types, with words of their own
+        raise InputError(f"{path} holds no record, or a damaged one: {_REMEDY}") from error
 
 
 def find_records(paths: list[Path]) -> list[Path]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from diagrams.world.configuration import World
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
+from models.command_line import require_writable
 from models.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ class Arguments:
     seed: int = 0  # of whatever is random
     scenario: Path | None = None  # YAML file, whose world is taken
 
+    NAME: ClassVar[str]  # of the analysis, and of its report
     LEAST: ClassVar[dict[str, int]] = {}  # smallest value of each number
 
     def run(self) -> int:
@@ -40,16 +42,21 @@ class Arguments:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{self.out} cannot be written ({error.strerror}): choose another --out") from error
+        require_writable(self._report)
 
     def world(self) -> World:
         """The world of the scenario; raises InputError as `load_world` does."""
         return load_world(self.scenario)
 
-    def write(self, name: str, report: dict[str, Any]) -> None:
+    def write(self, report: dict[str, Any]) -> None:
         """Writes the report (plain types) to NAME.json in `out`."""
         text = json.dumps({"seed": self.seed} | report)
         finite = json.loads(text, parse_constant=lambda _: None)  # JSON has no word for NaN and infinity
-        (self.out / f"{name}.json").write_text(json.dumps(finite, indent=1) + "\n")
+        self._report.write_text(json.dumps(finite, indent=1) + "\n")
+
+    @property
+    def _report(self) -> Path:
+        return self.out / f"{self.NAME}.json"
 
 
 @dataclass

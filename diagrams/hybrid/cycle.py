@@ -12,14 +12,16 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.store import FIRST
 from diagrams.hybrid.common import Arguments
-from diagrams.hybrid.return_proof import bound
+from diagrams.hybrid.return_proof import bound, holds
 from models.errors import InputError
 
 EPISODES, ROWS = "episodes.parquet", "rows.jsonl"  # of a sweep
+FORETOLD = "way_home", "resumption"  # arrows that the sweep is compared with
 CODE = "code"  # may differ between the reports: a page that is mended changes none of them
 
 
@@ -29,27 +31,35 @@ class Cycle(Arguments):
 
     sweep: Path = Path("outputs/sweep")  # folder of a sweep with the network of `resume`, under none, A and B
 
+    NAME: ClassVar[str] = "cycle"
+
     def run(self) -> int:
-        """Reads what `return`, `resume` and the sweep found; returns 0 if they do not contradict each other, else 1."""
+        """Reads what `return`, `resume` and the sweep found; returns 0 if they bear the cycle out, else 1.
+
+        That is: the certificate holds, and the sweep does not contradict what is foretold of way home and resumption.
+        """
         from diagrams.drawing.cycle import save_cycle
 
         returned, resumed = self._read("return"), self._read("resume")
-        require_one_world({"return": returned.get("fingerprint"), "resume": resumed.get("fingerprint"),
-                           "the sweep": self._fingerprint()})  # fmt: skip
+        require_one_world({"the world": fingerprint(self.world()), "return": returned.get("fingerprint"),
+                           "resume": resumed.get("fingerprint"), "the sweep": self._fingerprint()})  # fmt: skip
         found = report(returned, resumed, self._rows())
-        self.write("cycle", found)
+        self.write(found)
         save_cycle(found, self.out / "cycle.png")
         print(table(found))
-        return 0 if found["resumption"]["agrees"] else 1
+        return 0 if found["certificate_holds"] and all(found[name]["agrees"] for name in FORETOLD) else 1
 
     def _read(self, name: str) -> dict[str, Any]:
         path = self.out / f"{name}.json"
         try:
-            return dict(json.loads(path.read_text()))
-        except (OSError, ValueError) as error:
+            report = dict(json.loads(path.read_text()))
+        except (OSError, TypeError, ValueError) as error:
             raise InputError(
                 f"{path} cannot be read: run `analysis.py {name} --out {self.out}` first, or choose another --out"
             ) from error
+        if report.get("seed") != self.seed:
+            raise InputError(f"{path} is of the seed {report.get('seed')}: give that as --seed, here {self.seed}")
+        return report
 
     def _fingerprint(self) -> dict[str, Any]:
         """Of the sweep."""
@@ -60,7 +70,7 @@ class Cycle(Arguments):
             if not line.startswith(FIRST):
                 raise ValueError("no fingerprint")
             return dict(json.loads(line)["fingerprint"])
-        except (OSError, ValueError) as error:
+        except (OSError, TypeError, ValueError) as error:
             raise InputError(f"{path} is no sweep's: give the folder of a finished one with --sweep") from error
 
     def _rows(self) -> list[dict[str, Any]]:
@@ -73,7 +83,10 @@ class Cycle(Arguments):
         path = self.sweep / EPISODES
         if not path.is_file():
             raise InputError(f"there is no {path}: give the folder of a finished sweep with --sweep")
-        frame = pd.read_parquet(path)
+        try:
+            frame = pd.read_parquet(path)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path} cannot be read: run the sweep's command again, it makes it anew") from error
         return [
             {
                 str(name): None if pd.isna(value) else value
@@ -128,29 +141,35 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
                 "diagrams/sweep.py with it under --disturbance none A B"
             )
         arrows = _arrows(returned, rule, undisturbed, disturbed)
-        dwell = _dwell(returned, disturbed)
-    except KeyError as error:
+        dwell, certificate_holds = _dwell(returned, disturbed), holds(returned)
+    except InputError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise InputError(
-            f"the reports lack {error}: they are of another version, run `return`, `resume` and the sweep again"
+            f"the reports do not fit ({error}): they are of another version, run `return`, `resume` and the sweep again"
         ) from error
-    home = [row for row in disturbed if row["returned"]]
-    failed = sum(not row["resumed"] for row in home)
-    foretold = next(arrow["bound"] for arrow in arrows if arrow["name"] == "reset and resumption")
-    at_least = 1.0 - bound(len(home) - failed, len(home)) if home else 0.0
+    noticed = [row for row in disturbed if row["detection_delay_s"] is not None]
+    home = [row for row in noticed if row["returned"]]
     return {
+        "certificate_holds": certificate_holds,
         "rule": resumed["rule"],
         "arrows": arrows,
         # Where the most was seen to fail; of equals, the one that is known least.
         "weakest": max(arrows, key=lambda arrow: (arrow["failures"] / arrow["samples"], arrow["bound"]))["name"],
         "least_known": max(arrows, key=lambda arrow: arrow["bound"])["name"],
-        "resumption": {
-            "foretold_bound": foretold,
-            "measured": {"samples": len(home), "failures": failed, "at_least": at_least,
-                         "bound": bound(failed, len(home)) if home else 1.0},
-            "agrees": at_least <= foretold,
-        },
+        "way_home": _against("way home", arrows, noticed, "returned"),
+        "resumption": _against("reset and resumption", arrows, home, "resumed"),
         "dwell": dwell,
-    }  # fmt: skip
+    }
+
+
+def _against(name: str, arrows: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]], right: str) -> dict[str, Any]:
+    """What the arrow `name` foretells, beside the `rows` of the sweep of which `right` says how they went."""
+    foretold = next((arrow["bound"] for arrow in arrows if arrow["name"] == name), 1.0)
+    n, failed = len(rows), sum(not row[right] for row in rows)
+    at_least = 1.0 - bound(n - failed, n) if n else 0.0
+    measured = {"samples": n, "failures": failed, "at_least": at_least, "bound": bound(failed, n) if n else 1.0}
+    return {"foretold_bound": foretold, "measured": measured, "agrees": at_least <= foretold}
 
 
 def _arrows(
@@ -161,27 +180,23 @@ def _arrows(
 ) -> list[dict[str, Any]]:
     """Each arrow once: its counts, and the bound that they allow."""
     sets, kinds, draws = returned["sets"], list(rule.values()), returned["draws"]
-    outside = sum(round((1.0 - returned[f"coverage_{kind}"]) * draws) for kind in ("onsets", "targets"))
     finished = [entry["finished"] for entry in kinds if entry["finished"] is not None]
     resumed = [row for row in disturbed if row["resumed"]]
 
     def count(rows: Sequence[dict[str, Any]], wrong: Callable[[dict[str, Any]], bool]) -> tuple[int, int]:
         return len(rows), sum(map(wrong, rows))
 
-    def ways(*names: str) -> int:
-        return sum(sets[name]["all"]["failed_or_touched"] for name in names)
-
     entries = (
         ("no false alarm", "task", "task", count(undisturbed, lambda row: bool(row["switched"])),
          "undisturbed episodes of the sweep"),
         ("guard", "task", "return", count(disturbed, lambda row: row["detection_delay_s"] is None),
          "disturbed episodes of the sweep: noticed before the disturbance ends"),
-        # An onset and a target of one episode are one draw; what fails is counted in both.
-        ("return set", "return", "box", (draws, outside),
+        ("return set", "return", "box", (draws, returned["draws_outside"]),
          "draws of an onset and a target of A: inside the certified box"),
-        ("way home", "box", "home", (draws, ways("onsets", "targets")),
+        ("way home", "box", "home", (draws, returned["draws_failed_or_touched"]),
          "draws of an onset and a target of A: home, nothing touched"),
-        ("way home, anywhere in the box", "box", "home", (returned["samples_inside"], ways("box")),
+        ("way home, anywhere in the box", "box", "home",
+         (returned["samples_inside"], sets["box"]["all"]["failed_or_touched"]),
          "postures uniform in the box: home, nothing touched"),
         ("reset and resumption", "home", "task",
          (sum(entry["samples"] for entry in kinds), sum(entry["not_resumed"] for entry in kinds)),
@@ -235,11 +250,12 @@ def table(found: dict[str, Any]) -> str:
         rows.append((arrow["name"], f"{arrow['from']} -> {arrow['to']}", counted, f"{arrow['bound']:.2e}", remark))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    measured, dwell = found["resumption"]["measured"], found["dwell"]
-    lines.append(
-        f"not resumed: foretold at most {found['resumption']['foretold_bound']:.2e}; {measured['failures']} of "
-        f"{measured['samples']} disturbed runs"
-    )
+    dwell = found["dwell"]
+    lines += [
+        f"not {what}: foretold at most {found[name]['foretold_bound']:.2e}; {found[name]['measured']['failures']} of "
+        f"{found[name]['measured']['samples']} disturbed runs"
+        for name, what in zip(FORETOLD, ("come home", "resumed"), strict=True)
+    ]
     seconds = ", ".join(f"{kind} {entry['seconds']:.1f} s" for kind, entry in dwell["bounds"].items())
     stays = dwell["measured_s"]
     seen = (

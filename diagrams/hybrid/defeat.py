@@ -48,6 +48,7 @@ class Defeat(NetworkArguments):
     branch: bool = True  # begin episodes of a known scene with a clone of its undisturbed ticks
     workers: int = 2
 
+    NAME: ClassVar[str] = "defeat"
     LEAST: ClassVar[dict[str, int]] = {"repetitions": 2, "brute": 0, "workers": 0}
 
     def check(self) -> None:
@@ -56,6 +57,8 @@ class Defeat(NetworkArguments):
         require_sizes(self.population, self.kept, self.moves)
         if not self.kinds or len(set(self.kinds)) != len(self.kinds) or not set(self.kinds) <= {"A", "B"}:
             raise InputError(f"--kinds {' '.join(self.kinds)} is no choice of A and B: give one or both of them")
+        if self.brute:
+            episode_seeds("defeat", self.seed, self.brute)
 
     def run(self) -> int:
         """Estimates; returns 0 if none contradicts brute force, and a clone goes on as the whole episode, else 1."""
@@ -71,7 +74,7 @@ class Defeat(NetworkArguments):
             for kind in self.kinds:
                 found[kind] = self._of_kind(kind, world, cases, policy.name)
         sizes = {name: getattr(self, name) for name in ("population", "kept", "moves", "repetitions")}
-        self.write("defeat", sizes | {"kinds": {kind: entry["report"] for kind, entry in found.items()}})
+        self.write(sizes | {"kinds": {kind: entry["report"] for kind, entry in found.items()}})
         save_defeat(found, self.out / "defeat.png")
         for kind, entry in found.items():
             print(words(kind, entry["report"]))

@@ -87,18 +87,25 @@ def measured_delay_margin(world: World, expected: int, seed: int = 0) -> int:
 
     It is looked for from `expected` on, upwards or downwards; 0 stands for none.
     """
+    from tqdm import tqdm
+
     starts = AMPLITUDE * np.random.default_rng(seed).choice([-1.0, 1.0], (POSTURES, ARM_JOINTS))
 
     def stable(delay: int) -> bool:
         # At the margin a swing takes 2 (2 delay + 1) ticks.
         loop, ticks = DelayedLoop(world, delay), 2 * PERIODS * (2 * delay + 1)
-        return all(swings_die_out(loop.run(start, ticks)) for start in starts)
+        died_out = []
+        for start in starts:
+            died_out.append(swings_die_out(loop.run(start, ticks)))
+            bar.update()
+        return all(died_out)
 
     delay = max(expected, 1)
-    if stable(delay):
-        while stable(delay + 1):
-            delay += 1
-        return delay
-    while delay > 1 and not stable(delay - 1):
-        delay -= 1
-    return delay - 1
+    with tqdm(desc="delay margin", unit="run", disable=None) as bar:
+        if stable(delay):
+            while stable(delay + 1):
+                delay += 1
+            return delay
+        while delay > 1 and not stable(delay - 1):
+            delay -= 1
+        return delay - 1

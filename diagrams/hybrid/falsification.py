@@ -32,6 +32,7 @@ class Falsify(NetworkArguments):
     scenes: int = 4  # validation scenes among which it chooses
     workers: int = 2
 
+    NAME: ClassVar[str] = "falsify"
     LEAST: ClassVar[dict[str, int]] = {"trials": 1, "scenes": 1, "workers": 0}
 
     def run(self) -> int:
@@ -81,7 +82,7 @@ class Falsify(NetworkArguments):
             for (name, case), (outcome, record) in zip(cases.items(), again, strict=True)
         }  # fmt: skip
         undisturbed = [outcome.success for outcome, _ in nominal]
-        self.write("falsify", result | {"undisturbed_success": undisturbed, "replayed": replayed})
+        self.write(result | {"undisturbed_success": undisturbed, "replayed": replayed})
         save_search(result["all_trials"], self.out / "falsify.png")
         for name in found:
             first, trials, smallest = (result[key][name] for key in ("trials_to_first", "trials", "smallest_magnitude"))

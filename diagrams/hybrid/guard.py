@@ -29,6 +29,7 @@ class Guard(NetworkArguments):
     ticks: int = 3  # from the displacement on, over which the largest alpha is taken
     rays: int = 16  # along which points are bisected
 
+    NAME: ClassVar[str] = "guard"
     LEAST: ClassVar[dict[str, int]] = {"grid": 3, "ticks": 1, "rays": 1}
 
     def run(self) -> int:
@@ -51,7 +52,7 @@ class Guard(NetworkArguments):
         gamma = float(rollout.policy.gamma)
         setting = {name: getattr(self, name) for name in ("joints", "level", "ticks")}
         found = report(grid, points, gamma) | setting | {"gamma": gamma, "tick_of_the_run": probe.tick}
-        self.write("guard", found)
+        self.write(found)
         title = f"alpha over {self.ticks} ticks after a displacement, {self.level:.2f} m before the can"
         save_guard(found, f"{title} (seed {self.seed})", self.out / "guard.png")
         if not points:

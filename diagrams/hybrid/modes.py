@@ -33,6 +33,7 @@ class Modes(NetworkArguments):
     disturbance: Literal["none", "A", "B"] = "A"  # of that episode
     max_crossings: int = 4  # guard crossings in any second that are still no chatter
 
+    NAME: ClassVar[str] = "modes"
     LEAST: ClassVar[dict[str, int]] = {"max_crossings": 0}
 
     def run(self) -> int:
@@ -43,7 +44,7 @@ class Modes(NetworkArguments):
         paths = find_records(self.records) or [self._run_episode()]
         runs = [mode_sequence(*load_record(path), path.stem, home) for path in paths]
         found = report(runs, self.max_crossings)
-        self.write("modes", found)
+        self.write(found)
         save_automaton(found, self.out / "modes.png")
         print(
             f"{len(runs)} runs, {found['transitions']['task->return']} switches to the LQR; at most "

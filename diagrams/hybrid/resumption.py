@@ -6,6 +6,7 @@ when it resumes; its largest level from which all starts have resumed in the who
 of their own test it: V where each arm came home says which of them will not resume in time.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
@@ -44,6 +45,7 @@ class Resume(NetworkArguments):
     runs: int = 200  # disturbed ones, half of them A
     workers: int = 2
 
+    NAME: ClassVar[str] = "resume"
     LEAST: ClassVar[dict[str, int]] = {"starts": 1, "runs": 0, "workers": 0}
 
     def run(self) -> int:
@@ -69,7 +71,7 @@ class Resume(NetworkArguments):
             "fingerprint": fingerprint(world), "policy": policy.hash, "rule": world.resumption, "scenes": scenes,
             "rules": rules, "worst_ticks": worst, "runs": judge_runs(runs, period),
         }  # fmt: skip
-        self.write("resume", found)
+        self.write(found)
         save_resumption([asdict(row) for row in rows], period, self.out / "resume.png")
         path.unlink()  # it is for a run that is broken off
         for rule, kind in product(RESUMPTIONS, KINDS):
@@ -83,12 +85,18 @@ class Resume(NetworkArguments):
 
     def _starts(self, job: Job, seeds: list[int], store: RowStore, pool: Pool) -> tuple[list["Row"], dict[str, Any]]:
         """`starts` of each kind and rule; how many scenes they took, and how many gave none of a kind."""
+        from tqdm import tqdm
+
         done: list[list[Row]] = []
-        for jobs in self._batches(job, seeds, done):
-            missing = [given for given in jobs if given.key not in store.rows]
-            for given, found in pool.run(run_scene, missing):
-                store.add(given.key, [asdict(row) for row in found])
-            done.extend([Row(**row) for row in store.rows[given.key]] for given in jobs)
+        with tqdm(total=self.starts * len(KINDS), desc="resume", unit="start", disable=None) as bar:
+            for jobs in self._batches(job, seeds, done):
+                missing = [given for given in jobs if given.key not in store.rows]
+                for given, found in pool.run(run_scene, missing):
+                    store.add(given.key, [asdict(row) for row in found])
+                    bar.update(min(sum(row.rule == RESUMPTIONS[0] for row in found), bar.total - bar.n))
+                done.extend([Row(**row) for row in store.rows[given.key]] for given in jobs)
+                bar.n = sum(min(count, self.starts) for count in counts(done))  # what is too much of a kind is left out
+                bar.refresh()
         without = {kind: sum(all(row.kind != kind for row in scene) for scene in done) for kind in KINDS}
         rows = [row for scene in done for row in scene]
         chosen = [
@@ -100,19 +108,14 @@ class Resume(NetworkArguments):
 
     def _batches(self, job: Job, seeds: list[int], done: list[list["Row"]]) -> Iterator[list["SceneJob"]]:
         """Scenes, some at a time, as long as a kind has too few starts in `done`."""
-        from tqdm import tqdm
-
-        begun, rule = 0, RESUMPTIONS[0]
-        with tqdm(total=self.starts * len(KINDS), desc="resume", unit="start", disable=None) as bar:
-            while begun < len(seeds):
-                have = [sum(row.kind == kind and row.rule == rule for scene in done for row in scene) for kind in KINDS]
-                bar.update(sum(min(count, self.starts) for count in have) - bar.n)
-                lacking = self.starts - min(have)
-                if lacking <= 0:
-                    return
-                count = min(-(-lacking // STARTS_A_SCENE), 20, len(seeds) - begun)
-                yield [SceneJob(replace(job, seed=seed), self.seed) for seed in seeds[begun : begun + count]]
-                begun += count
+        begun = 0
+        while begun < len(seeds):
+            lacking = self.starts - min(counts(done))
+            if lacking <= 0:
+                return
+            count = min(-(-lacking // STARTS_A_SCENE), 20, len(seeds) - begun)
+            yield [SceneJob(replace(job, seed=seed), self.seed) for seed in seeds[begun : begun + count]]
+            begun += count
         raise InputError(
             f"{begun} scenes do not give {self.starts} starts of each kind: the network does its subtasks too seldom, "
             "choose less --starts"
@@ -132,6 +135,12 @@ class Resume(NetworkArguments):
                 store.add(f"run {given.seed}", asdict(found))
                 bar.update()
         return [RunRow(**store.rows[f"run {given.seed}"]) for given in jobs]
+
+
+def counts(scenes: list[list["Row"]]) -> list[int]:
+    """How many starts of each of KINDS there are in `scenes`, under one rule."""
+    kinds = Counter(row.kind for scene in scenes for row in scene if row.rule == RESUMPTIONS[0])
+    return [kinds[kind] for kind in KINDS]
 
 
 @dataclass(frozen=True)

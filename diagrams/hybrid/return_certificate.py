@@ -43,6 +43,7 @@ class Return(Arguments):
     draws: int = 1000  # episodes whose onset posture and target of disturbance A are looked at, and simulated
     workers: int = 2
 
+    NAME: ClassVar[str] = "return"
     LEAST: ClassVar[dict[str, int]] = {"samples": 1, "draws": 1, "workers": 0}
 
     def run(self) -> int:
@@ -54,7 +55,7 @@ class Return(Arguments):
             found, picture = certify(
                 world, samples=self.samples, draws=self.draws, seed=self.seed, pool=pool, store=store
             )
-        self.write("return", {"fingerprint": fingerprint(world)} | found)
+        self.write({"fingerprint": fingerprint(world)} | found)
         save_certificate(picture, self.out / "return.png")
         path.unlink()  # it is for a run that is broken off
         print(_words(found))
@@ -119,10 +120,17 @@ def certify(
     sets = {
         kind: judge(inside[kind], ways[kind], values[kind], promises[kind], at_home, home, period) for kind in KINDS
     }
+    outside, failed = set[int](), set[int]()  # draws: an onset and a target are of one
+    for kind in ("onsets", "targets"):
+        drawn = np.flatnonzero(np.asarray(levels[kind]) <= 1.0)
+        outside |= set(range(draws)) - set(drawn.tolist())
+        failed |= {int(i) for i, way in zip(drawn, ways[kind], strict=True) if way.touches or way.arrival(home) < 0}
     report = {
         **total(sets),
         "period_s": period,
         "draws": draws,
+        "draws_outside": len(outside),
+        "draws_failed_or_touched": len(failed),
         "coverage_onsets": float(np.mean(levels["onsets"] <= 1.0)),
         "coverage_targets": float(np.mean(levels["targets"] <= 1.0)),
         "sets": sets,
@@ -144,12 +152,12 @@ def certify(
 
 def _words(found: dict[str, Any]) -> str:
     """The report in a few lines."""
+    nearest = "nothing" if found["nearest_distance_m"] is None else f"{1e3 * found['nearest_distance_m']:.1f} mm"
     lines = [
         f"inside the box: {found['coverage_onsets']:.1%} of the onset postures, {found['coverage_targets']:.1%} of A's "
         f"targets, of {found['draws']} episodes",
         f"{found['failures_inside']} of {found['samples_inside']} fail to come home (95 % bound "
-        f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something, the nearest comes to "
-        f"{found['nearest_distance_m']} m",
+        f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something, the nearest comes to {nearest}",
     ]
     for kind, found_here in found["sets"].items():
         free, everything = found_here["free"], found_here["all"]

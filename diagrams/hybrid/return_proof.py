@@ -19,8 +19,10 @@ V_TOLERANCE = 1e-3  # of the level at home: V may rise by that much from tick to
 def bound(failures: int, n: int) -> float:
     """The probability of a failure, at most, with 95 % confidence, after `failures` in n: Clopper-Pearson, one-sided.
 
-    Without a failure it is 1 - 0.05^(1/n).
+    Without a failure it is 1 - 0.05^(1/n). Raises ValueError for more failures than n.
     """
+    if failures > n:
+        raise ValueError(f"{failures} of {n} fail: there cannot be more failures than samples")
     return float(share_above(n, n - failures))
 
 

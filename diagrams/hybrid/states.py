@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 from pydrake.systems.framework import Context, Diagram, System
 
@@ -14,6 +15,8 @@ KINDS = ("continuous", "discrete", "abstract")
 class States(NetworkArguments):
     """Every state of the hybrid system, and that they are all; and the graph of the diagram."""
 
+    NAME: ClassVar[str] = "states"
+
     def run(self) -> int:
         """Lists the states; returns 0 if their sums are those of the root Context, else 1."""
         from diagrams.drawing.graph import save_graph
@@ -21,7 +24,7 @@ class States(NetworkArguments):
         rollout, episode = self.closed_loop()
         rollout.prepare(episode)
         found = report(rollout.diagram, rollout.simulator.get_context())
-        self.write("states", found)
+        self.write(found)
         for form in ("svg", "png"):
             save_graph(rollout.diagram, self.out / f"graph.{form}")
         print(table(found))

@@ -42,6 +42,7 @@ class Linearize(Arguments):
     can: tuple[float, float] = (0.53, 0.0)  # X Y, m, world
     vacant: str = "left"  # spot on the shelf: left or right
 
+    NAME: ClassVar[str] = "linearize"
     LEAST: ClassVar[dict[str, int]] = {"samples": 1}
 
     def run(self) -> int:
@@ -86,7 +87,7 @@ class Linearize(Arguments):
         of_worst = {name: worst[name] for name in ("spectral_radius", "decay_predicted", "decay_measured")}
         largest = {name: max(case[name] for case in cases) for name in ("jacobian_error", "decay_error")}
         scene = {"can": self.can, "vacant": self.vacant}
-        self.write("linearize", of_worst | largest | scene | {"cases": cases})
+        self.write(of_worst | largest | scene | {"cases": cases})
         save_spectra(pictures, self.out / "linearize.png")
         agree = largest["jacobian_error"] <= JACOBIAN_TOLERANCE and largest["decay_error"] <= DECAY_TOLERANCE
         return 0 if agree else 1

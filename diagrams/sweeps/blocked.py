@@ -15,15 +15,21 @@ def _blocked(job: tuple[World, str, list[int]]) -> list[int]:
     return [seed for seed in seeds if sampler.sample(seed, kind).way_home_clear is False]
 
 
+def require_takes_arm(kinds: list[str]) -> None:
+    """Raises InputError for a kind of disturbance that does not take the arm."""
+    for kind in kinds:
+        if kind not in ("A", "B"):
+            raise InputError(f"from a disturbance '{kind}' there is no way home that could be blocked: choose A or B")
+
+
 def blocked_seeds(world: World, purpose: str, seed: int, count: int, kind: str, workers: int) -> list[int]:
     """The first `count` seeds of `episode_seeds` whose straight way home from a disturbance `kind` touches something.
 
-    Raises InputError for a kind that does not take the arm, or where there are not so many.
+    Raises InputError for a kind that does not take the arm, or where there are not so many episodes.
     """
     from tqdm import tqdm
 
-    if kind not in ("A", "B"):
-        raise InputError(f"from a disturbance '{kind}' there is no way home that could be blocked: choose A or B")
+    require_takes_arm([kind])
     seeds, found = episode_seeds(purpose, seed, SEEDS_APART), list[int]()
     each = BATCH * max(workers, 1)
     with Pool(workers) as pool, tqdm(total=count, desc=f"blocked ways home, {kind}", leave=False, disable=None) as bar:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 from diagrams.episodes.calibration import UNFITTED
+from diagrams.episodes.pool import MOST_WORKERS
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
-from diagrams.sweeps.blocked import blocked_seeds
+from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
 from diagrams.sweeps.task import Task
 from diagrams.world.configuration import World
 from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
@@ -53,7 +54,7 @@ class SweepArguments:
         for what, number, least, most in (
             ("number of episodes", self.episodes, 1, SEEDS_APART),
             ("seed", self.seed, 0, SEED_BLOCKS - 1),
-            ("number of workers", self.workers, 1, 1000),
+            ("number of workers", self.workers, 1, MOST_WORKERS),
             *(("training seed", seed, 0, 999) for seed in self.training_seeds),
         ):
             if not least <= number <= most:
@@ -106,6 +107,8 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
             controllers.append((rnn, training_seed, detector, gamma, policy.hash, learned, calibration))
     kinds, asked = _unique(arguments.disturbance), (arguments.purpose, arguments.seed, arguments.episodes)
     blocked = arguments.way_home == "blocked"  # a search of minutes: last
+    if blocked:
+        require_takes_arm(kinds)
     seeds = {
         kind: blocked_seeds(world, *asked, kind, arguments.workers) if blocked else episode_seeds(*asked)
         for kind in kinds

@@ -178,13 +178,14 @@ def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter
         return None
     lower, upper, speed = controller_limits(station)
     map = ClearanceMap(world, possible=given.cans == "possible")
-    for opening in (world.opening, world.closed_opening) if given.cans == "possible" else ():
+    cans = station.GetOutputPort("can_poses").Eval(station.CreateDefaultContext())[: map.obstacle_size]
+    for opening in (world.opening, world.closed_opening):
         home = np.append(world.initial_posture[:ARM_JOINTS], opening)
-        nearest = map.view(home, np.empty(0)).near(home[:ARM_JOINTS], WITHIN).distances.min(initial=WITHIN)
+        nearest = map.view(home, cans).near(home[:ARM_JOINTS], WITHIN).distances.min(initial=WITHIN)
         if nearest <= given.gap:
             raise InputError(
-                f"world.clearance.gap {given.gap} m: at the initial posture the arm is {nearest:.3f} m from where a "
-                "can may stand, and could not come home: choose less, or another posture"
+                f"world.clearance.gap {given.gap} m: at the initial posture the arm is {nearest:.3f} m from desk, "
+                "shelf, or where a can may stand, and could not come home: choose less, or another posture"
             )
     # A changed step stays where A's targets may be, and a degree within: the servo may overshoot.
     margin = np.append(np.full(ARM_JOINTS, LIMIT_MARGIN + np.deg2rad(1.0)), np.zeros(len(lower) - ARM_JOINTS))

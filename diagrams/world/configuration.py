@@ -16,7 +16,7 @@ from systems.arguments import require_count, require_positive, require_vector
 from systems.clearance_filter import WITHIN
 
 LARGEST_PICTURE = 2048  # pixels a side
-CLEARANCE_CANS = ("possible", "true", "unseen")
+CLEARANCE_CANS = ("possible", "known", "unseen")
 RESUMPTIONS = ("reset", "imagined")
 MOST_HALVINGS = 10  # of a period to a time step: a simulation of smaller ones would not end
 POSITIVE = (
@@ -94,7 +94,7 @@ class Regulator:
 class Clearance:
     """The way home: what the arm keeps away from in mode `return`, see systems/clearance_filter.py."""
 
-    cans: str = "possible"  # one wherever it may stand; true: where they stand; unseen: the way is straight, no filter
+    cans: str = "possible"  # one wherever it may stand; known: where they stand; unseen: the way is straight, no filter
     gap: float = 0.01  # distance kept, m
     least: float = 0.005  # distance that the straight line to each command is proven to keep, m
     rate: float = 0.3  # share of the distance above the gap that a tick may use up
@@ -183,13 +183,13 @@ class World:
                 f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: "
                 "choose 0 <= closed_opening < opening"
             )
-        if not self.closed_opening < self.empty_below <= self.close_below and self.empty_below != 0.0:
-            raise InputError(
-                f"world.empty_below {self.empty_below} m does not fit: choose more than closed_opening "
-                f"{self.closed_opening}, at most close_below {self.close_below}, or 0 (never)"
-            )
         if not self.closed_opening <= self.close_below < self.open_above <= self.opening:
             raise InputError(
                 f"world.close_below {self.close_below} m and open_above {self.open_above} m do not fit: choose "
                 f"closed_opening {self.closed_opening} <= close_below < open_above <= opening {self.opening}"
+            )
+        if not self.closed_opening < self.empty_below <= self.close_below and self.empty_below != 0.0:
+            raise InputError(
+                f"world.empty_below {self.empty_below} m does not fit: choose more than closed_opening "
+                f"{self.closed_opening}, at most close_below {self.close_below}, or 0 (never)"
             )

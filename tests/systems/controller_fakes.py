@@ -121,9 +121,9 @@ class Camera(LeafSystem):
 
 class ClosedLoop:
     """The controller with a calibration, a camera (a grey image if None), and an arm; optionally a log of an output at
-    the ticks."""
+    the ticks. `finger_gaps`: the source of what is measured of the fingers, where the controller asks for it."""
 
-    def __init__(self, controller, arm, calibration, logged=None, camera=None):
+    def __init__(self, controller, arm, calibration, logged=None, camera=None, finger_gaps=None):
         builder = DiagramBuilder()
         self.controller = builder.AddNamedSystem("controller", controller)
         self.arm = builder.AddNamedSystem("arm", arm)
@@ -131,6 +131,9 @@ class ClosedLoop:
         builder.Connect(camera.get_output_port(), controller.GetInputPort("rgb_image"))
         builder.Connect(arm.get_output_port(), controller.GetInputPort("posture"))
         builder.Connect(controller.GetOutputPort("desired_posture"), arm.get_input_port())
+        if finger_gaps is not None:
+            builder.AddSystem(finger_gaps)
+            builder.Connect(finger_gaps.get_output_port(), controller.GetInputPort("finger_gaps"))
         self.log = None if logged is None else LogVectorOutput(controller.GetOutputPort(logged), builder, PERIOD)
         self.diagram = builder.Build()  # raises on an algebraic loop
         self.calibration = calibration

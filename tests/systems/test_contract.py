@@ -10,6 +10,7 @@ import yaml
 import systems
 from systems.alpha_mixer import AlphaMixer
 from systems.disturbance import Disturbance
+from systems.finger_release import FingerRelease
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector
@@ -64,6 +65,10 @@ CASES = {
     "HomeReset": (
         lambda: HomeReset(posture_size=M, initial_posture=np.zeros(3), tolerance=np.ones(3)),
         {("posture", "reset"), ("alpha", "reset")},
+    ),
+    "FingerRelease": (
+        lambda: FingerRelease(posture_size=M, joints=3, opening=[0.08], empty_below=[0.035]),
+        {(i, "released_posture") for i in ("desired_posture", "reset", "finger_gaps")},
     ),
     "Disturbance": (
         lambda: Disturbance(posture_size=M),
@@ -167,6 +172,16 @@ def test_what_the_reset_adds_to_the_controller():
         "detector.alpha -> home_reset.alpha",  # this tick's, before the network steps
         "posture_scaling.y0 -> home_reset.posture",
         "home_reset.reset -> recurrent_policy.reset",
+    }
+
+
+def test_what_the_release_of_empty_fingers_adds_to_the_controller():
+    resetting = make_controller(home_tolerance=0.1)
+    assert wires_of(make_controller(home_tolerance=0.1, empty_below=-0.5)) - wires_of(resetting) == {
+        "home_reset.reset -> reset_hold.u",  # so that the command is constant between ticks
+        "reset_hold.y -> finger_release.reset",
+        "finger_gaps_hold.y -> finger_release.finger_gaps",
+        "desired_posture_unscaling.y0 -> finger_release.desired_posture",
     }
 
 

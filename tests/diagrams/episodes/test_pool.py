@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -35,6 +36,23 @@ def test_an_error_of_a_job_is_raised_and_ends_the_rest(pool):
     with pytest.raises(ValueError, match="three"):
         seen += [job for job, _ in pool.run(pool_jobs.fail_at_three, range(50))]
     assert sorted(pool.run(pool_jobs.double, [1])) == [(1, 2)]  # the pool is usable
+
+
+def test_a_worker_that_dies_while_it_is_idle_is_replaced():
+    with Pool(1) as own:
+        [(_, (pid, _))] = own.run(pool_jobs.process_and_count, ["a"])
+        os.kill(pid, signal.SIGKILL)
+        time.sleep(0.5)  # until the executor knows
+        [(_, (other, _))] = own.run(pool_jobs.process_and_count, ["a"])
+    assert other != pid
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="counts open files by Linux's /proc")
+def test_workers_are_made_when_there_is_a_job_for_them():
+    before = len(os.listdir("/proc/self/fd"))
+    with Pool(1000) as many:
+        assert list(many.run(pool_jobs.double, [3])) == [(3, 6)]
+        assert len(os.listdir("/proc/self/fd")) < before + 50
 
 
 def test_jobs_are_handed_out_one_by_one(pool):
@@ -102,6 +120,7 @@ def _wait_for(condition, seconds=40.0):
         time.sleep(0.05)
 
 
-def test_a_negative_number_of_workers_is_refused():
-    with pytest.raises(InputError, match="workers -1 is too small"):
-        Pool(-1)
+@pytest.mark.parametrize("workers", [-1, 1001])
+def test_a_number_of_workers_out_of_range_is_refused(workers):
+    with pytest.raises(InputError, match=f"workers {workers} is out of range: choose from 1 to 1000"):
+        Pool(workers)

@@ -12,9 +12,10 @@ from pydrake.systems.framework import CacheIndex
 from diagrams.episodes.calibration import never_fires
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import Record
+from diagrams.episodes.switching import GUARD
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT
-from diagrams.world.task import HOME_TOLERANCE
+from diagrams.world.task import HOME_TOLERANCE, at_home
 
 CAN = (0.555, -0.041)
 MARK = (1, 2, 3, 4)  # no colour of a picture, whose alpha is 255
@@ -210,6 +211,18 @@ def state_bytes(root):
     groups = [root.get_discrete_state(i).value() for i in range(root.num_discrete_state_groups())]
     assert root.num_total_states() == sum(map(len, groups))
     return np.concatenate(groups).tobytes()
+
+
+@pytest.mark.parametrize(("name", "opens"), [("robbed", True), ("moved_with_the_can", False)])
+def test_at_home_empty_fingers_open_and_a_held_can_is_kept(request, world, name, opens):
+    record = request.getfixturevalue(name).record
+    home = at_home(record.posture[:, :ARM_JOINTS], world.initial_posture[:ARM_JOINTS])
+    waits = np.flatnonzero(home & (record.alpha >= GUARD) & (record.time > record.time[record.active].max()))
+    assert len(waits) > 5
+    # The command of a row is that of the tick before: from the second row on they are of the arm at home.
+    assert np.all((record.desired_posture[waits[1:], -1] == world.opening) == opens)
+    before = record.desired_posture[np.flatnonzero(record.active), -1]
+    assert np.all(before == world.closed_opening)
 
 
 @pytest.mark.parametrize("name", ["undisturbed", "moved_with_the_can", "robbed"])

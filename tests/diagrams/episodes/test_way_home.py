@@ -28,7 +28,7 @@ def run(world, encoder, policy, episode, cans):
 
 @pytest.fixture(scope="module")
 def runs(world, encoder, policy, blocked):
-    return {cans: run(world, encoder, policy, blocked, cans) for cans in ("possible", "true", "unseen")}
+    return {cans: run(world, encoder, policy, blocked, cans) for cans in ("possible", "known", "unseen")}
 
 
 def test_the_straight_way_touches_the_neighbour(runs):
@@ -37,7 +37,7 @@ def test_the_straight_way_touches_the_neighbour(runs):
     assert outcome.way_home_nearest == "can_on_shelf"
 
 
-@pytest.mark.parametrize("cans", ["possible", "true"])
+@pytest.mark.parametrize("cans", ["possible", "known"])
 def test_the_filtered_way_keeps_its_distance(runs, cans):
     outcome, _ = runs[cans]
     assert outcome.success
@@ -61,7 +61,7 @@ def test_the_filter_has_no_state(world, encoder, policy):
 
 def test_what_the_truth_says_is_that_of_the_tick(world, encoder, policy):
     """The cans move between the ticks; what the arm is to follow does not."""
-    rollout = Rollout(replace(world, clearance=Clearance(cans="true")), encoder, policy)
+    rollout = Rollout(replace(world, clearance=Clearance(cans="known")), encoder, policy)
     wires = {
         (target.get_name(), source.get_name()) for (target, _), (source, _) in rollout.diagram.connection_map().items()
     }

@@ -7,24 +7,31 @@ import pandas as pd
 import pytest
 
 from diagrams import analysis
+from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.cycle import report, require_one_world, table
 from models.errors import InputError
 
-PROVEN = {"samples": 50, "failed_or_touched": 0}
+PROVEN = {"samples": 50, "failed_or_touched": 0, "failures": 0, "left_box": 0, "touches": 0}
+LQR_ALONE = {"later_than_certified": 0, "max_v_increase": 0.0, "contraction_first_measured": 0.9,
+             "contraction_rate_measured": 0.9}  # fmt: skip
 RETURNED = {
+    "seed": 0,
     "fingerprint": {"code": "1", "drake": "1.51", "world.resumption": "reset"},
     "level_at_home": 1.0 / math.e,
     "period_s": 0.1,
     "draws": 50,
+    "draws_outside": 1,
+    "draws_failed_or_touched": 0,
     "samples_inside": 300,
     "coverage_onsets": 1.0,
     "coverage_targets": 0.98,
     "sets": {
-        kind: {"all": PROVEN, "contraction_first": 1.0, "contraction_rate": math.exp(-0.1)}
+        kind: {"all": PROVEN, "free": LQR_ALONE, "contraction_first": 1.0, "contraction_rate": math.exp(-0.1),
+               "nearest_distance_m": 0.009, "v_tolerance": 0.0}
         for kind in ("box", "onsets", "targets")
     },
-}
+}  # fmt: skip
 
 
 def entry(samples, not_resumed, finished, failures):
@@ -36,6 +43,7 @@ def entry(samples, not_resumed, finished, failures):
 
 
 RESUMED = {
+    "seed": 0,
     "fingerprint": {"code": "2", "drake": "1.51", "world.resumption": "reset"},
     "policy": "ours",
     "rule": "reset",
@@ -65,6 +73,7 @@ ROWS += [
     row("A", void=True, success=None),
     row("A", false_switches=1),
 ]
+CALM = [one for one in ROWS if not (one["returned"] and one["resumed"] is False)]
 OTHERS = {"weights_hash": "another's"}, {"detector": "knn"}, {"gamma": 3.0}, {"success": None}
 ROWS += [row("B", delay=None, **others) for others in OTHERS]
 
@@ -98,8 +107,24 @@ def test_a_share_that_was_not_foretold_is_told():
     assert (found["measured"]["failures"], found["measured"]["samples"]) == (1, 11)
     assert found["measured"]["at_least"] == pytest.approx(1.0 - 0.95 ** (1.0 / 11))
     assert found["agrees"] is False
-    calm = [one for one in ROWS if not (one["returned"] and one["resumed"] is False)]
-    assert report(RETURNED, RESUMED, calm)["resumption"]["agrees"] is True
+    assert report(RETURNED, RESUMED, CALM)["resumption"]["agrees"] is True
+
+
+@pytest.mark.parametrize(("lost", "agrees"), [(0, True), (1, True), (9, False)])
+def test_runs_of_the_sweep_that_do_not_come_home_are_told(lost, agrees):
+    """At most 5.8e-2 is foretold: 1 of 21 may be chance, 9 of 29 may not. Those not noticed were never on their way."""
+    rows = [*CALM, *[row("A") for _ in range(10)], *[row("A", returned=False, resumed=False)] * lost]
+    found = report(RETURNED, RESUMED, rows)["way_home"]
+    assert found["foretold_bound"] == pytest.approx(1.0 - 0.05 ** (1.0 / 50))
+    assert (found["measured"]["failures"], found["measured"]["samples"]) == (lost, 20 + lost)
+    assert found["agrees"] is agrees
+
+
+def test_a_certificate_that_does_not_hold_is_told():
+    assert report(RETURNED, RESUMED, ROWS)["certificate_holds"] is True
+    touching = RETURNED["sets"]["onsets"] | {"all": PROVEN | {"touches": 1}}
+    refuted = RETURNED | {"sets": RETURNED["sets"] | {"onsets": touching}}
+    assert report(refuted, RESUMED, ROWS)["certificate_holds"] is False
 
 
 def test_dwell_time_by_hand():
@@ -123,8 +148,18 @@ def test_an_episode_that_raised_an_error_is_no_good_one():
 
 
 def test_a_report_of_another_version_is_refused():
-    with pytest.raises(InputError, match=r"lack 'draws'.*run `return`"):
+    with pytest.raises(InputError, match=r"do not fit \('draws'\).*run `return`"):
         report({name: value for name, value in RETURNED.items() if name != "draws"}, RESUMED, ROWS)
+
+
+@pytest.mark.parametrize(
+    ("returned", "resumed"),
+    [({"level_at_home": None}, {}), ({"sets": 3}, {}), ({"draws": -1}, {}), ({}, {"rules": None}),
+     ({}, {"rules": {"reset": {"pick": 5}}})],
+)  # fmt: skip
+def test_a_report_that_is_none_is_refused(returned, resumed):
+    with pytest.raises(InputError, match="the reports do not fit"):
+        report(RETURNED | returned, RESUMED | resumed, ROWS)
 
 
 def test_reports_of_different_worlds_are_refused():
@@ -136,20 +171,35 @@ def test_reports_of_different_worlds_are_refused():
         require_one_world({"return": first, "resume": None})
 
 
-def test_program(tmp_path, capsys):
+def test_program(tmp_path, capsys, world):
+    own = fingerprint(world)
     asked = ["cycle", "--out", str(tmp_path), "--sweep", str(tmp_path)]
     with pytest.raises(InputError, match=r"return\.json cannot be read: run `analysis\.py return --out"):
         analysis.main(analysis.parse(asked))
-    (tmp_path / "return.json").write_text(json.dumps(RETURNED))
-    (tmp_path / "resume.json").write_text(json.dumps(RESUMED))
-    with pytest.raises(InputError, match=r"rows\.jsonl is no sweep's: give the folder"):
-        analysis.main(analysis.parse(asked))
-    with RowStore(tmp_path / "rows.jsonl", RETURNED["fingerprint"]):
+    for foreign in ("[1, 2]", "5", "null", "{"):
+        (tmp_path / "return.json").write_text(foreign)
+        with pytest.raises(InputError, match=r"return\.json (cannot be read: run|is of the seed None: give)"):
+            analysis.main(analysis.parse(asked))
+    (tmp_path / "return.json").write_text(json.dumps(RETURNED | {"fingerprint": own | {"code": "1"}}))
+    (tmp_path / "resume.json").write_text(json.dumps(RESUMED | {"fingerprint": own | {"code": "2"}}))
+    with pytest.raises(InputError, match=r"return\.json is of the seed 0: give that as --seed, here 77"):
+        analysis.main(analysis.parse([*asked, "--seed", "77"]))
+    for foreign in ("", '{"fingerprint": 5}\n', "5\n"):
+        (tmp_path / "rows.jsonl").write_text(foreign)
+        with pytest.raises(InputError, match=r"rows\.jsonl is no sweep's: give the folder"):
+            analysis.main(analysis.parse(asked))
+    (tmp_path / "rows.jsonl").unlink()
+    with RowStore(tmp_path / "rows.jsonl", own):
         pass
+    (tmp_path / "soft.yaml").write_text("world: {regulator: {input_weight: 45.0}}\n")
+    with pytest.raises(InputError, match=r"the world and return differ in .*regulator"):
+        analysis.main(analysis.parse([*asked, "--scenario", str(tmp_path / "soft.yaml")]))
     with pytest.raises(InputError, match=r"there is no .*episodes\.parquet: give the folder"):
         analysis.main(analysis.parse(asked))
-    calm = [one for one in ROWS if not (one["returned"] and one["resumed"] is False)]
-    pd.DataFrame([{"can_xy": [0.5, 0.0]} | one for one in calm]).to_parquet(tmp_path / "episodes.parquet")
+    (tmp_path / "episodes.parquet").write_text("cut short")
+    with pytest.raises(InputError, match=r"episodes\.parquet cannot be read: run the sweep's command again"):
+        analysis.main(analysis.parse(asked))
+    pd.DataFrame([{"can_xy": [0.5, 0.0]} | one for one in CALM]).to_parquet(tmp_path / "episodes.parquet")
     assert analysis.main(analysis.parse(asked)) == 0
     found = json.loads((tmp_path / "cycle.json").read_text())
     assert {"name", "samples", "failures", "bound"} <= found["arrows"][0].keys()

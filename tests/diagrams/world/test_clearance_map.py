@@ -153,11 +153,11 @@ def test_on_the_learned_motion_the_filter_changes_no_tick_of_the_teachers(hand, 
             assert np.array_equal(evaluate(system, "filtered_posture", inputs), desired)
 
 
-@pytest.mark.parametrize("cans", ["possible", "true"])
+@pytest.mark.parametrize("cans", ["possible", "known"])
 def test_a_hostile_command_does_not_bring_the_arm_into_desk_or_shelf(hand, station, cans):
     own = replace(WORLD, clearance=Clearance(cans=cans, learned_motion=True))
     system = clearance_filter(own, station)
-    told = dict(obstacles=can_poses([0.6, 0.05, 0.05], station.spot("right"))) if cans == "true" else {}
+    told = dict(obstacles=can_poses([0.6, 0.05, 0.05], station.spot("right"))) if cans == "known" else {}
     for goal in ([0.45, -0.05, 0.0], [*station.spot("left")[:2], 0.03]):
         target = np.append(hand.solve_ik(np.array(goal) + [0, 0, 0.02]), OPEN)
         target[:ARM_JOINTS] += 0.3 * (target - HOME)[:ARM_JOINTS]  # into it
