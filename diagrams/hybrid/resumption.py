@@ -31,7 +31,7 @@ from diagrams.world.names import ARM_JOINTS
 from diagrams.world.task import HOME_TOLERANCE
 from models.errors import InputError
 
-STARTS_A_SCENE = 15  # of a kind, under each rule
+STARTS_A_SCENE = 15  # of a kind
 FINISH_SECONDS = 30.0  # that a subtask has
 PATIENCE = 2.0  # starts are followed for so many times RESUME_SECONDS
 MOST_SCENES = 5000  # the seeds after them are of the disturbed runs
@@ -41,12 +41,13 @@ MOST_SCENES = 5000  # the seeds after them are of the disturbed runs
 class Resume(NetworkArguments):
     """The region of resumption: from which states the loop closes again within 6 s, and the subtask is done."""
 
-    starts: int = 3000  # of each kind, under each rule
+    starts: int = 3000  # of each kind, under the world's rule
+    compared: int = 300  # of these, which are run under the other rule too
     runs: int = 200  # disturbed ones, half of them A
     workers: int = 2
 
     NAME: ClassVar[str] = "resume"
-    LEAST: ClassVar[dict[str, int]] = {"starts": 1, "runs": 0, "workers": 0}
+    LEAST: ClassVar[dict[str, int]] = {"starts": 1, "compared": 0, "runs": 0, "workers": 0}
 
     def run(self) -> int:
         """Samples; returns 0 if under the world's rule every start resumes, else 1."""
@@ -64,7 +65,7 @@ class Resume(NetworkArguments):
         period = world.timing.period
         rules = {
             rule: {kind: judge([row for row in rows if (row.rule, row.kind) == (rule, kind)], period) for kind in KINDS}
-            for rule in RESUMPTIONS
+            for rule in (RESUMPTIONS if self.compared else (world.resumption,))
         }
         worst = worst_ticks(policy, world)
         found = {
@@ -74,7 +75,7 @@ class Resume(NetworkArguments):
         self.write(found)
         save_resumption([asdict(row) for row in rows], period, self.out / "resume.png")
         path.unlink()  # it is for a run that is broken off
-        for rule, kind in product(RESUMPTIONS, KINDS):
+        for rule, kind in product(rules, KINDS):
             print(_words(rule, kind, rules[rule][kind]))
         print(f"starting anew from the farthest posture at home takes {worst} ticks; disturbed runs: {found['runs']}")
         return 1 if any(entry["not_resumed"] for entry in rules[world.resumption].values()) else 0
@@ -84,37 +85,42 @@ class Resume(NetworkArguments):
         return episode_seeds("resumption", self.seed, MOST_SCENES + max(self.runs, 1))
 
     def _starts(self, job: Job, seeds: list[int], store: RowStore, pool: Pool) -> tuple[list["Row"], dict[str, Any]]:
-        """`starts` of each kind and rule; how many scenes they took, and how many gave none of a kind."""
+        """The starts of each kind and rule; how many scenes they took, and how many gave none of a kind."""
         from tqdm import tqdm
 
-        done: list[list[Row]] = []
+        done, own = list[list[Row]](), job.world.resumption
         with tqdm(total=self.starts * len(KINDS), desc="resume", unit="start", disable=None) as bar:
             for jobs in self._batches(job, seeds, done):
                 missing = [given for given in jobs if given.key not in store.rows]
                 for given, found in pool.run(run_scene, missing):
                     store.add(given.key, [asdict(row) for row in found])
-                    bar.update(min(sum(row.rule == RESUMPTIONS[0] for row in found), bar.total - bar.n))
+                    bar.update(min(sum(row.rule == own for row in found), bar.total - bar.n))
                 done.extend([Row(**row) for row in store.rows[given.key]] for given in jobs)
-                bar.n = sum(min(count, self.starts) for count in counts(done))  # what is too much of a kind is left out
+                bar.n = sum(
+                    min(count, self.starts) for count in counts(done, own)
+                )  # what is too much of a kind is left out
                 bar.refresh()
         without = {kind: sum(all(row.kind != kind for row in scene) for scene in done) for kind in KINDS}
         rows = [row for scene in done for row in scene]
         chosen = [
             row
             for rule, kind in product(RESUMPTIONS, KINDS)
-            for row in [row for row in rows if (row.rule, row.kind) == (rule, kind)][: self.starts]
+            for row in [row for row in rows if (row.rule, row.kind) == (rule, kind)][
+                : self.starts if rule == own else self.compared
+            ]
         ]
         return chosen, {"seen": len(done), "without": without}
 
     def _batches(self, job: Job, seeds: list[int], done: list[list["Row"]]) -> Iterator[list["SceneJob"]]:
         """Scenes, some at a time, as long as a kind has too few starts in `done`."""
-        begun = 0
+        begun, own = 0, job.world.resumption
         while begun < len(seeds):
-            lacking = self.starts - min(counts(done))
+            lacking = self.starts - min(counts(done, own))
             if lacking <= 0:
                 return
             count = min(-(-lacking // STARTS_A_SCENE), 20, len(seeds) - begun)
-            yield [SceneJob(replace(job, seed=seed), self.seed) for seed in seeds[begun : begun + count]]
+            rules = RESUMPTIONS if begun * STARTS_A_SCENE < self.compared else (own,)
+            yield [SceneJob(replace(job, seed=seed), self.seed, rules) for seed in seeds[begun : begun + count]]
             begun += count
         raise InputError(
             f"{begun} scenes do not give {self.starts} starts of each kind: the network does its subtasks too seldom, "
@@ -137,9 +143,9 @@ class Resume(NetworkArguments):
         return [RunRow(**store.rows[f"run {given.seed}"]) for given in jobs]
 
 
-def counts(scenes: list[list["Row"]]) -> list[int]:
-    """How many starts of each of KINDS there are in `scenes`, under one rule."""
-    kinds = Counter(row.kind for scene in scenes for row in scene if row.rule == RESUMPTIONS[0])
+def counts(scenes: list[list["Row"]], rule: str) -> list[int]:
+    """How many starts of each of KINDS there are in `scenes` under `rule`."""
+    kinds = Counter(row.kind for scene in scenes for row in scene if row.rule == rule)
     return [kinds[kind] for kind in KINDS]
 
 
@@ -149,11 +155,12 @@ class SceneJob:
 
     job: Job
     seed: int  # of the starts
+    rules: tuple[str, ...]  # of RESUMPTIONS
 
     @property
     def key(self) -> str:
         """In the store."""
-        return f"scene {self.job.seed}"
+        return f"scene {self.job.seed} {' '.join(self.rules)}"
 
 
 @dataclass(frozen=True)
@@ -205,7 +212,7 @@ def run_scene(given: SceneJob) -> list[Row]:
         for i in range(STARTS_A_SCENE if point is not None else 0):
             assert point is not None
             start = Start.drawn(kind, point, world, policy, rng)
-            for rule in RESUMPTIONS:
+            for rule in given.rules:
                 reset = rule == "reset"
                 way = system.way_home(start.offset)
                 foretold = time_to_resume(policy, start.memory, way, system.gain, limit, reset)

@@ -120,7 +120,7 @@ def test_falls_by_one_a_tick():
 
 def scene(rule="reset", seed=5_000_000):
     world = World(resumption=rule)
-    return SceneJob(Job(world, WEIGHTS / ENCODER, Controller(WEIGHTS / "lstm.onnx"), seed), 0)
+    return SceneJob(Job(world, WEIGHTS / ENCODER, Controller(WEIGHTS / "lstm.onnx"), seed), 0, RESUMPTIONS)
 
 
 def test_real_starts_resume_as_foretold_and_do_their_subtask(monkeypatch):
@@ -199,19 +199,19 @@ def test_program(tmp_path, monkeypatch):
     def fake(given):
         calls.append(given.key)
         kinds = ("pick", "place", "can taken") if len(calls) != 2 else ("pick",)
-        return [row(None, None, None, given.job.seed, 0, rule, kind) for rule in RESUMPTIONS for kind in kinds
+        return [row(None, None, None, given.job.seed, 0, rule, kind) for rule in given.rules for kind in kinds
                 for _ in range(15)]  # fmt: skip
 
     monkeypatch.setattr("diagrams.hybrid.resumption.run_scene", fake)
     weights = save_untrained(tmp_path)
-    asked = ["resume", "--weights", str(weights), "--starts", "40", "--runs", "0", "--workers", "0"]
+    asked = ["resume", "--weights", str(weights), "--starts", "40", "--compared", "20", "--runs", "0", "--workers", "0"]
     assert analysis.main(analysis.parse([*asked, "--out", str(tmp_path / "out")])) == 1
     found = json.loads((tmp_path / "out" / "resume.json").read_text())
     assert found["rule"] == "reset"
-    assert found["rules"]["imagined"]["place"]["samples"] == 40
+    assert found["rules"]["imagined"]["place"]["samples"] == 20
     assert found["rules"]["reset"]["pick"]["not_resumed"] == 40
     assert found["scenes"] == {"seen": 4, "without": {"pick": 0, "place": 1, "can taken": 1}}
-    assert len(calls) == 4
+    assert [call.split(" ", 2)[2] for call in calls] == ["reset imagined"] * 3 + ["reset"]
     assert (tmp_path / "out" / "resume.png").is_file()
     assert not list((tmp_path / "out").glob("*.jsonl"))
 
