@@ -36,7 +36,7 @@ def save_resumption(rows: Sequence[Mapping[str, Any]], period: float, path: Path
         if both:
             right.plot(*(np.array(both, float).T * period), ".", ms=3, color=colour, alpha=0.3, label=WORDS[rule])
     left.axvline(RESUME_SECONDS, color=RED, lw=0.8, ls=":")
-    left.text(RESUME_SECONDS, 0.9, " allowed", color=RED, fontsize=8)
+    left.text(RESUME_SECONDS, 1.03, "allowed", color=RED, fontsize=8, ha="center")
     left.set(xlabel="time from home (s)", ylabel="share of the starts that have resumed", ylim=(0.0, 1.02))
     if left.get_legend_handles_labels()[0]:
         left.legend(fontsize=8, loc="lower right")
