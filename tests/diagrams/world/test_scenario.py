@@ -79,7 +79,7 @@ def test_choices_are_checked(change, named):
         ("grid", {"spacing": 0.0}, "world.grid.spacing is 0.0"),
         ("grid", {"count": 1}, "world.grid.count is 1"),
         ("regulator", {"input_weight": 0.0}, "world.regulator.input_weight is 0.0"),
-        ("clearance", {"cans": "seen"}, "no cans 'seen' .*choose from possible, true, unseen"),
+        ("clearance", {"cans": "seen"}, "no cans 'seen' .*choose from possible, known, unseen"),
         ("clearance", {"gap": 0.004}, "least 0.005 m, gap 0.004 m .* do not fit"),
         ("clearance", {"rate": 1.5}, "rate 1.5 do not fit"),
         ("clearance", {"gap": float("nan")}, "world.clearance.gap is nan"),
