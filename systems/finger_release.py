@@ -34,7 +34,9 @@ class FingerRelease(LeafSystem):
             posture_size: M.
             joints: J < M, the first J components are joint angles.
             opening: (M - J,) command of open fingers, m.
-            empty_below: (M - J,) m, measured gaps below which fingers hold nothing, at most `opening`.
+            empty_below: (M - J,) m, measured gaps below which fingers hold nothing, below `opening`.
+
+        Raises ValueError for other shapes or bounds.
         """
         super().__init__()
         size = require_count("posture_size", posture_size, 2)

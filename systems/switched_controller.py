@@ -30,7 +30,7 @@ class SwitchedController(Diagram):
         posture: (M,) physical units: measured joint angles (rad), then the finger openings as commanded (m).
         finger_gaps: (M - J,) these openings as measured, m; only with `empty_below`.
     Outputs (physical units; constant between ticks, but for the last two, which alone have direct feedthrough):
-        desired_posture: (M,) the command m_k + dm.
+        desired_posture: (M,) the command m_k + dm; at home, empty fingers open.
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
         alpha: (1,) alpha_k, which closed the loop at tick k and mixes until the next one.
         errors: (E,) of the detector, what alpha_k came from.

@@ -33,7 +33,7 @@ class Pool:
     def __init__(self, workers: int):
         """Raises InputError for a number of workers outside of 0 to MOST_WORKERS."""
         if not 0 <= workers <= MOST_WORKERS:
-            raise InputError(f"the number of workers {workers} is out of range: choose from 1 to {MOST_WORKERS}")
+            raise InputError(f"the number of workers {workers} is out of range: choose from 0 to {MOST_WORKERS}")
         self._workers, self._idle = workers, SimpleQueue[ProcessPoolExecutor]()
         self._unmade, self._making = workers, threading.Lock()  # a worker is made when there is a job for it
 

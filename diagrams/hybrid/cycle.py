@@ -53,12 +53,13 @@ class Cycle(Arguments):
         path = self.out / f"{name}.json"
         try:
             report = dict(json.loads(path.read_text()))
-        except (OSError, TypeError, ValueError) as error:
+            seed = report["seed"]
+        except (KeyError, OSError, TypeError, ValueError) as error:
             raise InputError(
                 f"{path} cannot be read: run `analysis.py {name} --out {self.out}` first, or choose another --out"
             ) from error
-        if report.get("seed") != self.seed:
-            raise InputError(f"{path} is of the seed {report.get('seed')}: give that as --seed, here {self.seed}")
+        if seed != self.seed:
+            raise InputError(f"{path} is of the seed {seed}: give that as --seed, here {self.seed}")
         return report
 
     def _fingerprint(self) -> dict[str, Any]:
@@ -142,14 +143,16 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
             )
         arrows = _arrows(returned, rule, undisturbed, disturbed)
         dwell, certificate_holds = _dwell(returned, disturbed), holds(returned)
+        noticed = [row for row in disturbed if row["detection_delay_s"] is not None]
+        home = [row for row in noticed if row["returned"]]
+        way_home = _against("way home", arrows, noticed, "returned")
+        resumption = _against("reset and resumption", arrows, home, "resumed")
     except InputError:
         raise
     except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise InputError(
             f"the reports do not fit ({error}): they are of another version, run `return`, `resume` and the sweep again"
         ) from error
-    noticed = [row for row in disturbed if row["detection_delay_s"] is not None]
-    home = [row for row in noticed if row["returned"]]
     return {
         "certificate_holds": certificate_holds,
         "rule": resumed["rule"],
@@ -157,15 +160,15 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
         # Where the most was seen to fail; of equals, the one that is known least.
         "weakest": max(arrows, key=lambda arrow: (arrow["failures"] / arrow["samples"], arrow["bound"]))["name"],
         "least_known": max(arrows, key=lambda arrow: arrow["bound"])["name"],
-        "way_home": _against("way home", arrows, noticed, "returned"),
-        "resumption": _against("reset and resumption", arrows, home, "resumed"),
+        "way_home": way_home,
+        "resumption": resumption,
         "dwell": dwell,
     }
 
 
 def _against(name: str, arrows: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]], right: str) -> dict[str, Any]:
     """What the arrow `name` foretells, beside the `rows` of the sweep of which `right` says how they went."""
-    foretold = next((arrow["bound"] for arrow in arrows if arrow["name"] == name), 1.0)
+    foretold = {arrow["name"]: arrow["bound"] for arrow in arrows}[name]
     n, failed = len(rows), sum(not row[right] for row in rows)
     at_least = 1.0 - bound(n - failed, n) if n else 0.0
     measured = {"samples": n, "failures": failed, "at_least": at_least, "bound": bound(failed, n) if n else 1.0}
@@ -256,6 +259,10 @@ def table(found: dict[str, Any]) -> str:
         f"{found[name]['measured']['samples']} disturbed runs"
         for name, what in zip(FORETOLD, ("come home", "resumed"), strict=True)
     ]
+    if not found["certificate_holds"]:
+        lines.append(
+            "the certificate of `return` does not hold: its report says which way home fails or touches something"
+        )
     seconds = ", ".join(f"{kind} {entry['seconds']:.1f} s" for kind, entry in dwell["bounds"].items())
     stays = dwell["measured_s"]
     seen = (

@@ -94,11 +94,11 @@ def measured_delay_margin(world: World, expected: int, seed: int = 0) -> int:
     def stable(delay: int) -> bool:
         # At the margin a swing takes 2 (2 delay + 1) ticks.
         loop, ticks = DelayedLoop(world, delay), 2 * PERIODS * (2 * delay + 1)
-        died_out = []
         for start in starts:
-            died_out.append(swings_die_out(loop.run(start, ticks)))
             bar.update()
-        return all(died_out)
+            if not swings_die_out(loop.run(start, ticks)):
+                return False
+        return True
 
     delay = max(expected, 1)
     with tqdm(desc="delay margin", unit="run", disable=None) as bar:

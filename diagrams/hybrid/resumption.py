@@ -106,7 +106,7 @@ class Resume(NetworkArguments):
             row
             for rule, kind in product(RESUMPTIONS, KINDS)
             for row in [row for row in rows if (row.rule, row.kind) == (rule, kind)][
-                : self.starts if rule == own else self.compared
+                : self.starts if rule == own else min(self.compared, self.starts)
             ]
         ]
         return chosen, {"seen": len(done), "without": without}
@@ -114,12 +114,13 @@ class Resume(NetworkArguments):
     def _batches(self, job: Job, seeds: list[int], done: list[list["Row"]]) -> Iterator[list["SceneJob"]]:
         """Scenes, some at a time, as long as a kind has too few starts in `done`."""
         begun, own = 0, job.world.resumption
+        [other] = set(RESUMPTIONS) - {own}
         while begun < len(seeds):
             lacking = self.starts - min(counts(done, own))
             if lacking <= 0:
                 return
             count = min(-(-lacking // STARTS_A_SCENE), 20, len(seeds) - begun)
-            rules = RESUMPTIONS if begun * STARTS_A_SCENE < self.compared else (own,)
+            rules = RESUMPTIONS if min(counts(done, other)) < min(self.compared, self.starts) else (own,)
             yield [SceneJob(replace(job, seed=seed), self.seed, rules) for seed in seeds[begun : begun + count]]
             begun += count
         raise InputError(

@@ -24,7 +24,7 @@ from diagrams.hybrid.common import Arguments
 from diagrams.hybrid.delay_margin import delay_margin, measured_delay_margin
 from diagrams.hybrid.return_loop import Trajectory
 from diagrams.hybrid.return_promise import SAFETY_FACTOR, Promise
-from diagrams.hybrid.return_proof import KINDS, holds, judge, total
+from diagrams.hybrid.return_proof import DRAWN, KINDS, holds, judge, of_draws, total
 from diagrams.hybrid.return_samples import Sample, box_samples, drawn_samples
 from diagrams.hybrid.return_trajectories import trajectories_home
 from diagrams.world.configuration import World
@@ -120,17 +120,13 @@ def certify(
     sets = {
         kind: judge(inside[kind], ways[kind], values[kind], promises[kind], at_home, home, period) for kind in KINDS
     }
-    outside, failed = set[int](), set[int]()  # draws: an onset and a target are of one
-    for kind in ("onsets", "targets"):
-        drawn = np.flatnonzero(np.asarray(levels[kind]) <= 1.0)
-        outside |= set(range(draws)) - set(drawn.tolist())
-        failed |= {int(i) for i, way in zip(drawn, ways[kind], strict=True) if way.touches or way.arrival(home) < 0}
+    outside, failed = of_draws([levels[kind] for kind in DRAWN], [ways[kind] for kind in DRAWN], home)
     report = {
         **total(sets),
         "period_s": period,
         "draws": draws,
-        "draws_outside": len(outside),
-        "draws_failed_or_touched": len(failed),
+        "draws_outside": outside,
+        "draws_failed_or_touched": failed,
         "coverage_onsets": float(np.mean(levels["onsets"] <= 1.0)),
         "coverage_targets": float(np.mean(levels["targets"] <= 1.0)),
         "sets": sets,
@@ -152,12 +148,13 @@ def certify(
 
 def _words(found: dict[str, Any]) -> str:
     """The report in a few lines."""
-    nearest = "nothing" if found["nearest_distance_m"] is None else f"{1e3 * found['nearest_distance_m']:.1f} mm"
+    distance = found["nearest_distance_m"]
+    nearest = "none comes near to anything" if distance is None else f"the nearest comes to {1e3 * distance:.1f} mm"
     lines = [
         f"inside the box: {found['coverage_onsets']:.1%} of the onset postures, {found['coverage_targets']:.1%} of A's "
         f"targets, of {found['draws']} episodes",
         f"{found['failures_inside']} of {found['samples_inside']} fail to come home (95 % bound "
-        f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something, the nearest comes to {nearest}",
+        f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something, {nearest}",
     ]
     for kind, found_here in found["sets"].items():
         free, everything = found_here["free"], found_here["all"]

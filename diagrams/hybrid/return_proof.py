@@ -12,6 +12,7 @@ from diagrams.hybrid.return_promise import Promise, contractions
 from diagrams.hybrid.return_samples import Sample
 
 KINDS = ("box", "onsets", "targets")  # of postures
+DRAWN = KINDS[1:]  # those of episodes: an onset and a target are of one draw
 LEAST_DISTANCE = 0.005  # m
 V_TOLERANCE = 1e-3  # of the level at home: V may rise by that much from tick to tick
 
@@ -90,6 +91,22 @@ def judge(
         "filtered": sum(bool(way.filtered) for way in ways),
         "broke_off": [way.broke_off for way in ways if way.broke_off is not None],
     }
+
+
+def of_draws(levels: Sequence[np.ndarray], ways: Sequence[Sequence[Trajectory]], home: np.ndarray) -> tuple[int, int]:
+    """How many draws have a posture outside of the box, and how many one that fails to come home or touches something.
+
+    Args:
+        levels: V of each draw's posture, an array for each of DRAWN.
+        ways: of the postures inside the box, in their order.
+        home: (7,) initial posture, rad.
+    """
+    outside, failed = set[int](), set[int]()
+    for v, found in zip(levels, ways, strict=True):
+        inside = np.flatnonzero(np.asarray(v) <= 1.0).tolist()
+        outside |= set(range(len(v))) - set(inside)
+        failed |= {i for i, way in zip(inside, found, strict=True) if way.touches or way.arrival(home) < 0}
+    return len(outside), len(failed)
 
 
 def total(sets: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ def require_takes_arm(kinds: list[str]) -> None:
 def blocked_seeds(world: World, purpose: str, seed: int, count: int, kind: str, workers: int) -> list[int]:
     """The first `count` seeds of `episode_seeds` whose straight way home from a disturbance `kind` touches something.
 
-    Raises InputError for a kind that does not take the arm, or where there are not so many episodes.
+    Raises InputError for a kind that does not take the arm, or where fewer are blocked.
     """
     from tqdm import tqdm
 

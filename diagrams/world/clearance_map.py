@@ -178,10 +178,10 @@ def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter
         return None
     lower, upper, speed = controller_limits(station)
     map = ClearanceMap(world, possible=given.cans == "possible")
-    cans = station.GetOutputPort("can_poses").Eval(station.CreateDefaultContext())[: map.obstacle_size]
+    anywhere = map if given.cans == "possible" else ClearanceMap(world)
     for opening in (world.opening, world.closed_opening):
         home = np.append(world.initial_posture[:ARM_JOINTS], opening)
-        nearest = map.view(home, cans).near(home[:ARM_JOINTS], WITHIN).distances.min(initial=WITHIN)
+        nearest = anywhere.view(home, np.empty(0)).near(home[:ARM_JOINTS], WITHIN).distances.min(initial=WITHIN)
         if nearest <= given.gap:
             raise InputError(
                 f"world.clearance.gap {given.gap} m: at the initial posture the arm is {nearest:.3f} m from desk, "

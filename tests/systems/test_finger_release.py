@@ -8,7 +8,7 @@ from systems.finger_release import FingerRelease
 from tests.systems.controller_fakes import ClosedLoop, FakePolicy, TickArm, make_controller
 from tests.systems.test_law import Scheduled
 
-EMPTY, HOLDING = 0.030, 0.053  # measured gaps, m
+EMPTY, HOLDING = 0.030, 0.046  # measured gaps, m: of closed fingers, and with the can between them
 
 
 def released(command, reset, gaps):

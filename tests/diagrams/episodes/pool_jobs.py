@@ -34,6 +34,13 @@ def kill_every_worker(job):
     return job
 
 
+def wait_or_die(job):
+    if job == "deadly":
+        time.sleep(1.0)
+        os.kill(os.getpid(), signal.SIGKILL)
+    return job
+
+
 def process_and_count(job):
     """The process, and how many jobs it has had before this one with the same key."""
     counter = kept_in_thread(("counter", job), list)

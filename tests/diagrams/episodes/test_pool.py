@@ -48,6 +48,14 @@ def test_a_worker_that_dies_while_it_is_idle_is_replaced():
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="counts open files by Linux's /proc")
+def test_a_worker_that_died_under_an_abandoned_job_is_replaced():
+    with Pool(2) as own:
+        run = own.run(pool_jobs.wait_or_die, ["quick", "deadly"])
+        assert next(run) == ("quick", "quick")
+        run.close()  # the other one dies meanwhile
+        assert sorted(own.run(pool_jobs.double, range(4))) == [(n, 2 * n) for n in range(4)]
+
+
 def test_workers_are_made_when_there_is_a_job_for_them():
     before = len(os.listdir("/proc/self/fd"))
     with Pool(1000) as many:
@@ -122,5 +130,5 @@ def _wait_for(condition, seconds=40.0):
 
 @pytest.mark.parametrize("workers", [-1, 1001])
 def test_a_number_of_workers_out_of_range_is_refused(workers):
-    with pytest.raises(InputError, match=f"workers {workers} is out of range: choose from 1 to 1000"):
+    with pytest.raises(InputError, match=f"workers {workers} is out of range: choose from 0 to 1000"):
         Pool(workers)

@@ -186,7 +186,7 @@ def test_moved_arm_goes_home_and_finishes(name, request, world):
     assert [word for word in words if word in order] == order
 
 
-def test_fingers_never_open_during_the_return(moved_with_the_can):
+def test_fingers_that_hold_a_can_never_open_during_the_return(moved_with_the_can):
     """The network imagines that it has put the can down; when it has the arm again, the can is still in the hand."""
     record = moved_with_the_can.record
     resumed = np.flatnonzero(record.alpha > 0.5)[-1] + 1

@@ -216,6 +216,22 @@ def test_program(tmp_path, monkeypatch):
     assert not list((tmp_path / "out").glob("*.jsonl"))
 
 
+def test_the_other_rule_sees_the_same_starts_and_no_more(tmp_path, monkeypatch):
+    """The second scene gives one kind alone; of each kind there are no more than of the world's rule."""
+
+    def fake(given):
+        kinds = KINDS if given.job.seed % 2 else ("pick",)
+        return [row(5, 5, None, given.job.seed, i, rule, kind) for rule in given.rules for kind in kinds
+                for i in range(15)]  # fmt: skip
+
+    monkeypatch.setattr("diagrams.hybrid.resumption.run_scene", fake)
+    weights = save_untrained(tmp_path)
+    asked = ["resume", "--weights", str(weights), "--starts", "40", "--runs", "0", "--workers", "0"]
+    assert analysis.main(analysis.parse([*asked, "--out", str(tmp_path / "out")])) == 0
+    found = json.loads((tmp_path / "out" / "resume.json").read_text())["rules"]
+    assert {entry["samples"] for rule in found.values() for entry in rule.values()} == {40}
+
+
 def test_scenes_that_never_give_a_kind_are_told(tmp_path, monkeypatch):
     monkeypatch.setattr("diagrams.hybrid.resumption.run_scene", lambda given: [])
     monkeypatch.setattr("diagrams.hybrid.resumption.MOST_SCENES", 30)

@@ -5,7 +5,7 @@ import pytest
 
 from diagrams.hybrid.return_loop import Trajectory
 from diagrams.hybrid.return_promise import Promise
-from diagrams.hybrid.return_proof import bound, holds, judge, total
+from diagrams.hybrid.return_proof import bound, holds, judge, of_draws, total
 from diagrams.hybrid.return_samples import Sample
 
 HOME = np.zeros(7)
@@ -32,6 +32,18 @@ def test_bounds_by_hand():
     assert bound(0, 0) == 1.0
     assert bound(1, 1) == 1.0
     assert 0.3 < bound(1, 10) < 0.4  # Clopper-Pearson: 0.394
+
+
+def test_more_failures_than_samples_are_an_error():
+    with pytest.raises(ValueError, match="3 of 2 fail"):
+        bound(3, 2)
+
+
+def test_a_draw_that_fails_twice_is_counted_once():
+    """Of four draws the first touches on both ways, the second has an onset outside, the last a target that fails."""
+    fine, touching, lost = (one[1] for one in (way(3), way(3, "desk"), way(3, to=1.0)))
+    onsets, targets = np.array([0.5, 1.2, 0.5, 0.5]), np.array([0.9, 0.9, 0.9, 1.0])
+    assert of_draws([onsets, targets], [[touching, fine, fine], [touching, fine, fine, lost]], HOME) == (1, 2)
 
 
 def test_ways_are_counted():

@@ -228,9 +228,10 @@ def test_the_hand_keeps_away_from_the_arms_own_foot(possible):
     assert nearest(possible, HOME[:ARM_JOINTS], OPEN, within=0.14) == 0.14
 
 
-def test_a_gap_that_keeps_the_arm_from_home_is_refused(station):
-    own = replace(WORLD, clearance=Clearance(gap=0.13))
+@pytest.mark.parametrize("cans", ["possible", "known"])
+def test_a_gap_that_keeps_the_arm_from_home_is_refused(station, cans):
+    own = replace(WORLD, clearance=Clearance(cans=cans, gap=0.13))
     with pytest.raises(
-        InputError, match=r"gap 0\.13 m: at the initial posture the arm is 0\.1\d+ m from .* choose less"
+        InputError, match=r"gap 0\.13 m: at the initial posture the arm is 0\.1\d+ m from desk, .* choose less"
     ):
         clearance_filter(own, station)
