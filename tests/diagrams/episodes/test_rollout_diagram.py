@@ -31,6 +31,7 @@ def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
     assert wires == {
         "station.rgb_image -> switched_controller.rgb_image",
         "station.posture -> switched_controller.posture",
+        "station.finger_gap -> switched_controller.finger_gaps",
         "switched_controller.desired_posture -> clearance_filter.desired_posture",
         "switched_controller.measured_posture -> clearance_filter.posture",
         "switched_controller.alpha -> clearance_filter.alpha",
