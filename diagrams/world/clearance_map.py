@@ -48,7 +48,7 @@ class _Scene:
         """`possible`: a can wherever one may stand; else the cans that are not in the hand, where they are told."""
         builder = RobotDiagramBuilder(time_step=0.0)
         plant = builder.plant()
-        add_models(plant, ("desk", "shelf", "arm", "gripper"))
+        add_models(plant, world, ("desk", "shelf", "arm", "gripper"))
         can = Cylinder(CAN_RADIUS, 2 * CAN_HALF_HEIGHT)
         hand = ["arm", "gripper"]
         if held:

@@ -23,7 +23,7 @@ def station(world):
 
 @pytest.fixture(scope="session")
 def hand(world):
-    return HandKinematics(world.initial_posture[:ARM_JOINTS])
+    return HandKinematics(world)
 
 
 @pytest.fixture(scope="session")
