@@ -136,7 +136,7 @@ class World:
     def check(self) -> None:
         """Raises InputError for a value that makes no world; of `models`, the station does for what it lacks."""
         if not self.models.endswith(DIRECTIVES) or Path(self.models).name != self.models:
-            raise InputError(f"world.models '{self.models}' is no name of a file in sdf/: choose one like ARM{DIRECTIVES}")
+            raise InputError(f"world.models '{self.models}' is no file's name in sdf/: give one like ARM{DIRECTIVES}")
         try:
             for name in POSITIVE:
                 require_positive(f"world.{name}", attrgetter(name)(self))

@@ -125,7 +125,7 @@ def can_body(plant: MultibodyPlant, name: str) -> RigidBody:
 
 
 def arm_plant(world: World) -> MultibodyPlant:
-    """The arm and its gripper of `world` alone, continuous: for kinematics and gravity. Positions: 7 joints, 2 fingers."""
+    """Arm and gripper of `world` alone, continuous: for kinematics and gravity. Positions: 7 joints, 2 fingers."""
     plant = MultibodyPlant(0.0)
     add_models(plant, world, ("arm", "gripper"))
     plant.Finalize()

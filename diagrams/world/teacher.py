@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from diagrams.world import trajectory
 from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS, other_spot
+from diagrams.world.names import CAN_HALF_HEIGHT, SPOTS, other_spot
 from diagrams.world.station import PickPlaceStation
 from diagrams.world.task import TaskMonitor
 from models.data.recording import Recording
