@@ -106,7 +106,7 @@ class Clearance:
 class World:
     """Everything about the robot and its desk that an episode does not sample."""
 
-    models: str = "pick_place.dmd.yaml"  # file in sdf/ that says who stands where: see PARTS in station.py
+    models: str = "pick_place.dmd.yaml"  # file in sdf/ that says who stands where: see PARTS in parts.py
     timing: Timing = field(default_factory=Timing)
     servo: Servo = field(default_factory=Servo)
     camera: Camera = field(default_factory=Camera)

@@ -36,28 +36,11 @@ from diagrams.world.approach_meter import ApproachMeter
 from diagrams.world.can_mover import declare_can_place
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS, DIRECTIVES, FINGERS, SPOTS, other_spot
+from diagrams.world.parts import CAMERAS, require_parts
 from models.command_line import ROOT
 from models.errors import InputError
 
 RENDERER = "vtk"
-CAMERAS = ("camera", "film_camera")  # frames: the network's, and one for people
-# What a models file must hold, by model and kind: programs look it up by these names.
-PARTS: dict[str, dict[str, tuple[str, ...]]] = {
-    "desk": {},
-    "arm": {
-        "body": ("base", *(f"link_{j + 1}" for j in range(ARM_JOINTS))),
-        "joint": (joints := tuple(f"joint_{j + 1}" for j in range(ARM_JOINTS))),
-        "actuator": joints,
-    },
-    "gripper": {
-        "body": ("palm", *(f"{side}_finger" for side in FINGERS)),
-        "frame": ("grasp",),
-        "joint": tuple(f"{side}_finger_joint" for side in FINGERS),
-        "actuator": ("left_finger_joint",),
-    },
-    "shelf": {"frame": tuple(f"{spot}_spot" for spot in SPOTS)},
-    **{can: {"body": ("can",)} for can in CANS},
-}
 FILM = (960, 720, 42.0)  # width, height (pixels) and vertical field of view (deg) of the camera for people
 
 
@@ -76,7 +59,7 @@ def add_models(plant: MultibodyPlant, world: World, names: tuple[str, ...] | Non
         _add_directives(plant, parser, world, directives, names)
     except RuntimeError as error:
         raise InputError(f"sdf/{world.models} does not fit: {' '.join(str(error).split())}") from error
-    _require_parts(plant, world, names)
+    require_parts(plant, world, names)
 
 
 def _add_directives(
@@ -95,28 +78,6 @@ def _add_directives(
     for weld in welds:
         parent, child = (GetScopedFrameByName(plant, name) for name in (weld.parent, weld.child))
         plant.WeldFrames(parent, child, weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform())
-
-
-def _require_parts(plant: MultibodyPlant, world: World, names: tuple[str, ...] | None) -> None:
-    """Raises InputError for what a program looks up and the models of `world` have not; `names` as in `add_models`."""
-    for name, kinds in PARTS.items():
-        if names and name not in names:
-            continue
-        if not plant.HasModelInstanceNamed(name):
-            raise InputError(f"sdf/{world.models} has no model '{name}': name one so")
-        model = plant.GetModelInstanceByName(name)
-        has = {
-            "body": plant.HasBodyNamed,
-            "frame": plant.HasFrameNamed,
-            "joint": plant.HasJointNamed,
-            "actuator": plant.HasJointActuatorNamed,
-        }
-        for kind, part in ((kind, part) for kind, parts in kinds.items() for part in parts):
-            if not has[kind](part, model):
-                raise InputError(f"sdf/{world.models}: the model '{name}' has no {kind} '{part}': name one so")
-    for frame in () if names else CAMERAS:
-        if not plant.HasFrameNamed(frame):
-            raise InputError(f"sdf/{world.models} has no frame '{frame}': add one for the camera, z into the picture")
 
 
 def can_body(plant: MultibodyPlant, name: str) -> RigidBody:

@@ -1,10 +1,12 @@
 """A world in one file, and the second one: the iiwa against its public figures, its reach, its task, its way home."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,8 +18,9 @@ from diagrams.world.clearance_map import ClearanceMap, clearance_filter
 from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS
+from diagrams.world.parts import PARTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world, save_scenario
-from diagrams.world.station import PARTS, PickPlaceStation, arm_plant, controller_limits
+from diagrams.world.station import PickPlaceStation, arm_plant, controller_limits
 from diagrams.world.teacher import Teacher, setups
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, SUBTASK_STEPS, subtask_commands
 from models.command_line import ROOT
@@ -233,3 +236,15 @@ def test_options_go_over_a_scenario_and_that_over_the_world_file(tmp_path):
 def test_a_counterexample_carries_its_world(tmp_path, iiwa):
     save_scenario(tmp_path / "s.yaml", Scenario(world=iiwa))
     assert load_scenario(tmp_path / "s.yaml").world == iiwa
+
+
+def test_the_page_s_look_before_teaching(tmp_path, monkeypatch, capsys):
+    page = (ROOT / "diagrams" / "YOUR_ARM.md").read_text()
+    (look,) = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "sdf").symlink_to(ROOT / "sdf")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(look, "YOUR_ARM.md", "exec"), {})
+    margins = [float(found) for found in re.findall(r"limit: ([\d.]+) deg", capsys.readouterr().out)]
+    assert len(margins) == 6
+    assert min(margins) > 15.0
+    assert cv2.imread("look.png").shape == (4 * 112, 4 * 4 * 112, 3)
