@@ -44,7 +44,7 @@ class BaselinesArguments:
     data: Path  # demonstrations of diagrams/teach.py
     # names of detectors, or package.module:Class
     detector: list[str] = field(default_factory=lambda: [name for name in DETECTORS if name not in UNFITTED])
-    scenario: Path | None = None  # YAML file whose world the episodes run in
+    world: Path | None = None  # YAML file of the world that the episodes run in
     encoder: Path = WEIGHTS / ENCODER  # file of the encoder
     episodes: int = 60  # undisturbed validation episodes
     disturbed: int = 60  # validation episodes of each of A and B
@@ -67,7 +67,7 @@ def main(arguments: BaselinesArguments) -> int:
     from models.files.detectors import StoredDetector, save_detector
     from models.inference import Policy
 
-    world = load_world(arguments.scenario)
+    world = load_world(arguments.world)
     policies = {path: Policy(path) for path in arguments.policies}
     files = {spec: detector_file(arguments.policies[0].parent, spec) for spec in arguments.detector}
     notes = {"data": read_header(arguments.data).content_hash} | {name: getattr(arguments, name) for name in NOTED}

@@ -41,7 +41,7 @@ class CalibrateArguments:
 
     candidates: list[Path]  # policy files with recall heads
     out: Path  # the calibrated copy of the best one
-    scenario: Path | None = None  # YAML file whose world the episodes run in
+    world: Path | None = None  # YAML file of the world that the episodes run in
     encoder: Path = WEIGHTS / ENCODER  # file of the encoder
     episodes: int = (
         20  # undisturbed validation episodes a candidate, and disturbed ones of each of A and B if it's close
@@ -85,7 +85,7 @@ def main(arguments: CalibrateArguments) -> int:
     from models.files.policies import read_policy, write_policy
     from models.inference import Policy
 
-    world = load_world(arguments.scenario)
+    world = load_world(arguments.world)
     off = {path: Controller(path, calibration=never_fires(Policy(path).horizon + 1)) for path in arguments.candidates}
     rooms = [f"diagrams/episodes/{name}.py" for name in ("thresholds", "validation")]
     made_with = fingerprint(world, *rooms, encoder=file_hash(arguments.encoder))

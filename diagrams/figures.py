@@ -32,7 +32,7 @@ class FiguresArguments:
     rnn: str = "lstm"  # whose records are shown
     training_seed: int = 0
     weights: Path = WEIGHTS  # folder of the trained networks
-    scenario: Path | None = None  # YAML whose world the records were made in
+    world: Path | None = None  # YAML file of the world that the records were made in
     out: Path = Path("outputs/figures")
 
 
@@ -51,7 +51,7 @@ def main(arguments: FiguresArguments) -> int:
     from diagrams.sweeps.table import read_tables
     from models.files.policies import read_policy
 
-    out, rnn, world = arguments.out, network_label(arguments.rnn), load_world(arguments.scenario)
+    out, rnn, world = arguments.out, network_label(arguments.rnn), load_world(arguments.world)
     path = policy_file(arguments.weights, rnn, arguments.training_seed)
     notes: dict[str, Any] = {"rnn": rnn, "weights_hash": read_policy(path)[1].hash}
     chosen = choose_records(arguments.records, notes["weights_hash"]) if arguments.records else {}

@@ -20,7 +20,7 @@ import tyro
 
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ENCODER, WEIGHTS
-from diagrams.world.scenario import Scenario, load_scenario
+from diagrams.world.scenario import Scenario, load_scenario, load_world
 from models.command_line import require_writable, run
 from models.errors import InputError
 
@@ -38,6 +38,8 @@ class PickPlaceArguments(Scenario):
 
     disturbance: DisturbanceArguments = field(default_factory=DisturbanceArguments)
     scenario: Path | None = None  # YAML over the defaults; options on the command line go over both
+    # YAML file of the world, below what a scenario or options say of it
+    world_file: Annotated[Path | None, tyro.conf.arg(name="world")] = None
     weights: Path = WEIGHTS  # folder of the trained networks
     replay: Path = Path("outputs/replay.html")  # 3-D replay that opens offline in a browser
     plot: Path = Path("outputs/timeline.png")  # postures, both controllers' steps and alpha over time
@@ -51,10 +53,11 @@ class PickPlaceArguments(Scenario):
 
 
 def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
-    """Command line over scenario file over defaults."""
+    """Command line over scenario file over world file over defaults."""
     cli = tyro.cli(PickPlaceArguments, args=arguments, description=__doc__)
-    if cli.scenario is not None:
-        loaded = load_scenario(cli.scenario)
+    if cli.scenario is not None or cli.world_file is not None:
+        world = load_world(cli.world_file)
+        loaded = Scenario(world=world) if cli.scenario is None else load_scenario(cli.scenario, world)
         given = vars(loaded) | {"disturbance": DisturbanceArguments(**vars(loaded.disturbance))}
         cli = tyro.cli(PickPlaceArguments, args=arguments, default=PickPlaceArguments(**given), description=__doc__)
     return cli

@@ -49,7 +49,7 @@ def main(arguments: SweepArguments) -> int:
 
     arguments.check()
     require("pandas", "pyarrow", "scipy", *(["distributed"] if arguments.scheduler else []))
-    world, out = load_world(arguments.scenario), arguments.out
+    world, out = load_world(arguments.world), arguments.out
     tasks, names = plan(arguments, world)
     if (out / "episodes.parquet").exists() and not (out / ROWS).exists():
         raise InputError(f"{out} holds a table without its rows ({ROWS}), which would be lost: choose another --out")

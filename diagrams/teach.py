@@ -27,7 +27,7 @@ class TeachArguments:
     """Command line of teach.py."""
 
     out: Path  # the HDF5 file; an unfinished one is completed
-    scenario: Path | None = None  # YAML file whose world is taught in
+    world: Path | None = None  # YAML file of the world to teach in
     seed: int = 0  # samples how the cans are turned about their axes and how the arm is pushed off its path
     workers: int = os.cpu_count() or 1  # processes
     limit: int | None = None  # only so many demonstrations (for trying out)
@@ -58,7 +58,7 @@ def main(arguments: TeachArguments) -> int:
         value = getattr(arguments, name)
         if value is not None and value < least:
             raise InputError(f"--{name} {value} is too small: choose {least} or more")
-    world = load_world(arguments.scenario)
+    world = load_world(arguments.world)
     todo = setups(world, arguments.seed)[: arguments.limit]
     settings = {"world": dataclasses.asdict(world), "seed": arguments.seed}
     attributes = {

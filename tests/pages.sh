@@ -45,6 +45,7 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 # Networks of a few updates finish no task: the calibration takes the shipped ones.
 /calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/encoder.onnx --episodes 2 --disturbed 2 --runs 2/
 /calibrate\.py/s/--candidates [^ ]+/--candidates models\/weights\/lstm.onnx/
+/iiwa/s/models\/weights\/(encoder|lstm)\.onnx/models\/weights\/iiwa\/\1.onnx/g
 /baselines\.py/s/lstm\*\.onnx/lstm.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
 # Analyses: small samples.

@@ -4,6 +4,7 @@ import contextlib
 import functools
 import importlib
 import io
+import itertools
 import re
 import shlex
 
@@ -78,9 +79,10 @@ def test_pages_are_found_and_have_commands():
 @pytest.mark.parametrize(("module", "arguments"), OURS)
 def test_command_parses(module, arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for scenario in (tmp_path / word for word in arguments if word.endswith(".yaml")):
-        scenario.parent.mkdir(parents=True, exist_ok=True)
-        scenario.write_text("seed: 0\n")
+    for option, word in itertools.pairwise(arguments):
+        if word.endswith(".yaml"):
+            (tmp_path / word).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / word).write_text("resumption: reset\n" if option == "--world" else "seed: 0\n")
     message = io.StringIO()
     try:
         with contextlib.redirect_stderr(message), contextlib.redirect_stdout(message):

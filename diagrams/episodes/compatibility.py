@@ -10,13 +10,14 @@ from diagrams.world.configuration import World
 from models.errors import InputError
 
 # What is taken for granted of a graph from elsewhere whose header has no entry `world`.
-TRAINED_IN = {"period": 0.1, "camera": [112, 112, 43.0], "closed_opening": 0.03}
+TRAINED_IN = {"models": World().models, "period": 0.1, "camera": [112, 112, 43.0], "closed_opening": 0.03}
 
 
 def facts(world: World) -> dict[str, Any]:
-    """What a network takes for granted: period (s), camera (pixels, pixels, deg), opening of the closed fingers (m)."""
+    """What a network takes for granted: models, period (s), camera (pixels, pixels, deg), closed fingers (m)."""
     camera = world.camera
     return {
+        "models": world.models,
         "period": world.timing.period,
         "camera": [camera.width, camera.height, camera.field_of_view_deg],
         "closed_opening": world.closed_opening,
@@ -25,13 +26,17 @@ def facts(world: World) -> dict[str, Any]:
 
 def require_trained_for(world: World, policy) -> None:
     """Raises InputError where `policy` (see models/inference.py) was trained in another world; names both values."""
-    trained: dict[str, Any] = TRAINED_IN | _numbers(getattr(policy, "metadata", {}).get("world", {}))
+    trained: dict[str, Any] = TRAINED_IN | _plain(getattr(policy, "metadata", {}).get("world", {}))
     trained |= {"initial posture": np.asarray(policy.initial_posture), "components": len(policy.initial_posture)}
     initial = world.initial_posture
     have = facts(world) | {"initial posture": initial, "components": len(initial)}
-    for name in ("components", "initial posture", "period", "camera", "closed_opening"):
-        same_shape = np.shape(have[name]) == np.shape(trained[name])
-        if not same_shape or not np.allclose(have[name], trained[name], rtol=0.0, atol=1e-9):
+    for name in ("models", "components", "initial posture", "period", "camera", "closed_opening"):
+        same = np.shape(have[name]) == np.shape(trained[name])
+        if name == "models":
+            same = have[name] == trained[name]
+        elif same:
+            same = np.allclose(have[name], trained[name], rtol=0.0, atol=1e-9)
+        if not same:
             words = [np.array2string(np.asarray(value), precision=6) for value in (have[name], trained[name])]
             raise InputError(
                 f"the world's {name.replace('_', ' ')} is {words[0]}, the network was trained with {words[1]}: "
@@ -39,9 +44,10 @@ def require_trained_for(world: World, policy) -> None:
             )
 
 
-def _numbers(world: Any) -> dict[str, Any]:
-    """`world`, a weight file's; raises InputError unless its entries are numbers."""
+def _plain(world: Any) -> dict[str, Any]:
+    """`world`, a weight file's; raises InputError unless its entries are numbers, and a name the models."""
     try:
-        return {name: np.array(value, float).tolist() for name, value in world.items()}
+        models = {name: str(value) for name, value in world.items() if name == "models"}
+        return {name: np.array(value, float).tolist() for name, value in world.items() if name not in models} | models
     except (AttributeError, OverflowError, TypeError, ValueError) as error:
         raise InputError(f"the policy's metadata hold a world that is none, {world!r}: see facts() here") from error

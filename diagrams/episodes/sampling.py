@@ -79,8 +79,8 @@ class EpisodeSampler:
     def __init__(self, world: World):
         self._world = world
         self._home = world.initial_posture[:ARM_JOINTS]
-        self._hand = HandKinematics(self._home)
-        self._checker = CollisionChecker()
+        self._hand = HandKinematics(world)
+        self._checker = CollisionChecker(world)
         self._trained_area = HPolyhedron(VPolytope(world.grid.training_positions().T))
 
     def sample(

@@ -23,7 +23,7 @@ class Arguments:
 
     out: Path = Path("outputs/analysis")  # folder of the report and its pictures
     seed: int = 0  # of whatever is random
-    scenario: Path | None = None  # YAML file, whose world is taken
+    world: Path | None = None  # YAML file of the world, over the default one
 
     NAME: ClassVar[str]  # of the analysis, and of its report
     LEAST: ClassVar[dict[str, int]] = {}  # smallest value of each number
@@ -44,9 +44,9 @@ class Arguments:
             raise InputError(f"{self.out} cannot be written ({error.strerror}): choose another --out") from error
         require_writable(self._report)
 
-    def world(self) -> World:
-        """The world of the scenario; raises InputError as `load_world` does."""
-        return load_world(self.scenario)
+    def loaded_world(self) -> World:
+        """The world that is asked for; raises InputError as `load_world` does."""
+        return load_world(self.world)
 
     def write(self, report: dict[str, Any]) -> None:
         """Writes the report (plain types) to NAME.json in `out`."""
@@ -99,6 +99,6 @@ class NetworkArguments(Arguments):
         from diagrams.episodes.sampling import EpisodeSampler
         from models.inference import Encoder, Policy
 
-        rollout = Rollout(self.world(), Encoder(self.encoder_path), Policy(self.policy_path))
+        rollout = Rollout(self.loaded_world(), Encoder(self.encoder_path), Policy(self.policy_path))
         require_named(rollout.policy, self.rnn, self.policy_path)
         return rollout, EpisodeSampler(rollout.world).sample(self.seed, kind, rnn=rollout.policy.name)

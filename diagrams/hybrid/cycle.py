@@ -41,7 +41,7 @@ class Cycle(Arguments):
         from diagrams.drawing.cycle import save_cycle
 
         returned, resumed = self._read("return"), self._read("resume")
-        require_one_world({"the world": fingerprint(self.world()), "return": returned.get("fingerprint"),
+        require_one_world({"the world": fingerprint(self.loaded_world()), "return": returned.get("fingerprint"),
                            "resume": resumed.get("fingerprint"), "the sweep": self._fingerprint()})  # fmt: skip
         found = report(returned, resumed, self._rows())
         self.write(found)

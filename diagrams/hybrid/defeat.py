@@ -64,7 +64,7 @@ class Defeat(NetworkArguments):
         """Estimates; returns 0 if none contradicts brute force, and a clone goes on as the whole episode, else 1."""
         from diagrams.drawing.defeat import save_defeat
 
-        world, (encoder, policy, gamma) = self.world(), self.calibrated()
+        world, (encoder, policy, gamma) = self.loaded_world(), self.calibrated()
         chosen = {"weights": policy.hash, "encoder": encoder.hash, "branch": self.branch}
         identity = fingerprint(world, "diagrams/hybrid", **chosen)
         job = Job(world, self.encoder_path, Controller(self.policy_path))

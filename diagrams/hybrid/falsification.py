@@ -42,7 +42,7 @@ class Falsify(NetworkArguments):
 
         from diagrams.drawing.falsification import save_search
 
-        world, (encoder, policy, gamma) = self.world(), self.calibrated()
+        world, (encoder, policy, gamma) = self.loaded_world(), self.calibrated()
         sampler = EpisodeSampler(world)
         seeds = episode_seeds("validation", self.seed, self.scenes)
         scenes = [sampler.sample(seed, "none", rnn=policy.name) for seed in seeds]

@@ -46,7 +46,7 @@ class GuardProbe:
         cans = self._output(station, "can_poses")
         if lifted(cans):
             raise InputError(f"{CANS[0]} is already in the hand {level} m before it: choose a larger --level")
-        self._checker = CollisionChecker(gap=0.0)
+        self._checker = CollisionChecker(rollout.world, gap=0.0)
         self._checker.set_scene(cans[4:6], episode.vacant)
         self._lower, self._upper, _ = (limit[:ARM_JOINTS] for limit in controller_limits(station))
 

@@ -40,7 +40,7 @@ class Modes(NetworkArguments):
         """Measures the automaton; returns 0 if no run shows chatter, else 1."""
         from diagrams.drawing.automaton import save_automaton
 
-        home = self.world().initial_posture
+        home = self.loaded_world().initial_posture
         paths = find_records(self.records) or [self._run_episode()]
         runs = [mode_sequence(*load_record(path), path.stem, home) for path in paths]
         found = report(runs, self.max_crossings)

@@ -84,9 +84,9 @@ class PerturbationSpace:
     def __init__(self, world: World, scenes: Sequence[Episode], records: Sequence[Record]):
         """`records`: of the scenes' undisturbed runs."""
         self._scenes, self._grid = scenes, world.grid.bounds
-        hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
+        hand = HandKinematics(world)
         self._lower, self._upper = hand.lower + LIMIT_MARGIN, hand.upper - LIMIT_MARGIN
-        self._checker = CollisionChecker()
+        self._checker = CollisionChecker(world)
         places = [self._checker.spot(scene.vacant) for scene in scenes]
         self.runs = [NominalRun.of(record, hand, place) for record, place in zip(records, places, strict=True)]
 

@@ -53,7 +53,7 @@ class Resume(NetworkArguments):
         """Samples; returns 0 if under the world's rule every start resumes, else 1."""
         from diagrams.drawing.resumption import save_resumption
 
-        world, (encoder, policy, _) = self.world(), self.calibrated()
+        world, (encoder, policy, _) = self.loaded_world(), self.calibrated()
         if self.runs > MOST_SCENES:
             raise InputError(f"--runs {self.runs} is too large: choose at most {MOST_SCENES}")
         chosen = {"weights": policy.hash, "encoder": encoder.hash}

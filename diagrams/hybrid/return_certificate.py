@@ -50,7 +50,7 @@ class Return(Arguments):
         """Makes and tests the certificate; returns 0 if the simulations bear it out, else 1."""
         from diagrams.drawing.return_certificate import save_certificate
 
-        world, path = self.world(), self.out / "return_trajectories.jsonl"
+        world, path = self.loaded_world(), self.out / "return_trajectories.jsonl"
         with RowStore(path, fingerprint(world, "diagrams/hybrid")) as store, Pool(self.workers) as pool:
             found, picture = certify(
                 world, samples=self.samples, draws=self.draws, seed=self.seed, pool=pool, store=store

@@ -45,7 +45,7 @@ def box_samples(
     """
     from tqdm import tqdm
 
-    checker, home = CollisionChecker(), world.initial_posture[:ARM_JOINTS]
+    checker, home = CollisionChecker(world), world.initial_posture[:ARM_JOINTS]
     corner, opposite = world.grid.bounds
     samples: list[Sample] = []
     with tqdm(total=count, desc="postures in the box", leave=False, disable=None) as bar:

@@ -59,7 +59,7 @@ class Linearize(Arguments):
         if self.vacant not in SPOTS:
             raise InputError(f"there is no spot {self.vacant}: choose --vacant one of {', '.join(SPOTS)}")
         torch.set_num_threads(1)  # fastest at batch 1, and the sums of every evaluation
-        world, encoder = self.world(), Encoder(self.encoder)
+        world, encoder = self.loaded_world(), Encoder(self.encoder)
         EpisodeSampler(world).require_reachable(self.can)
         policies = [(path, load_policy(path)) for path in self.policies]
         for path, stored in policies:
@@ -124,7 +124,7 @@ def subtask_images(world: World, encoder, can_xy: tuple[float, float], vacant: s
         return SubtaskImage(subtask, features, np.append(world.initial_posture[:-1], opening))
 
     first = look(1)
-    hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
+    hand = HandKinematics(world)
     rows = subtask_commands(world, hand, np.array([*can_xy, CAN_HALF_HEIGHT]), 1)
     for k, row in enumerate(rows, start=1):
         desired.FixValue(context, row)

@@ -35,7 +35,7 @@ class SweepArguments:
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
     until: Literal["task", "switching"] = "task"  # switching: ends once that has failed; the task is not judged
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
-    scenario: Path | None = None  # YAML whose world is used
+    world: Path | None = None  # YAML file of the world, over the default one
     workers: int = os.cpu_count() or 1  # processes of this machine
     scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
     weights: Path = WEIGHTS  # folder of the trained networks

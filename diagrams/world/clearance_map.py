@@ -48,7 +48,7 @@ class _Scene:
         """`possible`: a can wherever one may stand; else the cans that are not in the hand, where they are told."""
         builder = RobotDiagramBuilder(time_step=0.0)
         plant = builder.plant()
-        add_models(plant, ("desk", "shelf", "arm", "gripper"))
+        add_models(plant, world, ("desk", "shelf", "arm", "gripper"))
         can = Cylinder(CAN_RADIUS, 2 * CAN_HALF_HEIGHT)
         hand = ["arm", "gripper"]
         if held:
@@ -137,7 +137,7 @@ class ClearanceMap:
     a can may stand on either spot of the shelf and in each cell of the trained area of the desk; but none in a cell, or
     on a spot, where one would overlap the arm as it is (so a can of that cell that would not is overlooked). Else the
     cans are where `obstacles` says: (14,) `can_poses` of the station, the truth, as they were at the tick. Of the arm's
-    own pairs hand and held can against base and link 1 are in it; no joint angles let others meet.
+    own pairs hand and held can against base and link 1 are in it; no joint angles that it allows let others meet.
     """
 
     def __init__(self, world: World, possible: bool = True):

@@ -18,17 +18,17 @@ SPACING = np.deg2rad(1.0)  # of the joint that moves most, between two samples
 class CollisionChecker:
     """Distances between the arm (and what it holds) and everything else, by Drake's signed-distance queries."""
 
-    def __init__(self, gap: float = 0.01):
-        """`gap`: what comes nearer than this (m) counts as touching."""
+    def __init__(self, world: World, gap: float = 0.01):
+        """The models of `world`; `gap`: what comes nearer than this (m) counts as touching."""
         builder = DiagramBuilder()
         self._plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-        add_models(self._plant)
+        add_models(self._plant, world)
         self._plant.Finalize()
         diagram = builder.Build()
         self._context = diagram.CreateDefaultContext()
         self._plant_context = self._plant.GetMyMutableContextFromRoot(self._context)
         self._query = lambda: scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(self._context))
-        self._gap = gap
+        self._gap, self._opening = gap, world.opening
         self._arm, self._gripper = map(self._plant.GetModelInstanceByName, ("arm", "gripper"))
         inspector = scene_graph.model_inspector()
         self._owner = {}  # name of the model that a shape belongs to
@@ -40,14 +40,14 @@ class CollisionChecker:
         self._plant.SetFloatingBaseBodyPoseInWorldFrame(self._plant_context, can_body(self._plant, can), X_WC)
 
     def set_scene(
-        self, can_xy: np.ndarray | tuple[float, float] | None, vacant: str, opening: float = World().opening
+        self, can_xy: np.ndarray | tuple[float, float] | None, vacant: str, opening: float | None = None
     ) -> None:
         """Where the cans stand; `can_xy` (2, m, world) or None: the can is in the hand, the fingers closed on it.
 
-        `opening`: of the fingers of the empty hand, m.
+        `opening`: of the fingers of the empty hand, m; None: they are open.
         """
         self._held = can_xy is None
-        gap = 2 * CAN_RADIUS if self._held else opening
+        gap = 2 * CAN_RADIUS if self._held else self._opening if opening is None else opening
         self._plant.SetPositions(self._plant_context, self._gripper, [0.5 * gap, 0.5 * gap])
         self._place(CANS[1], RigidTransform(self.spot(other_spot(vacant))))
         if can_xy is not None:

@@ -1,4 +1,4 @@
-"""What can be configured of the robot and its world: defaults here, a scenario file or the command line over them.
+"""What can be configured of the robot and its world: defaults here; a world file, a scenario or options over them.
 
 Units: m, rad, s, N m unless a field's comment says otherwise; positions in the world frame (origin on the desk below
 the arm's axis, x ahead of the arm, y to its left, z up).
@@ -7,10 +7,11 @@ the arm's axis, x ahead of the arm, y to its left, z up).
 import math
 from dataclasses import dataclass, field
 from operator import attrgetter
+from pathlib import Path
 
 import numpy as np
 
-from diagrams.world.names import ARM_JOINTS
+from diagrams.world.names import ARM_JOINTS, DIRECTIVES
 from models.errors import InputError
 from systems.arguments import require_count, require_positive, require_vector
 from systems.clearance_filter import WITHIN
@@ -105,6 +106,7 @@ class Clearance:
 class World:
     """Everything about the robot and its desk that an episode does not sample."""
 
+    models: str = "pick_place.dmd.yaml"  # file in sdf/ that says who stands where: see PARTS in parts.py
     timing: Timing = field(default_factory=Timing)
     servo: Servo = field(default_factory=Servo)
     camera: Camera = field(default_factory=Camera)
@@ -132,7 +134,9 @@ class World:
         return self.resumption == "reset" and self.empty_below > 0.0
 
     def check(self) -> None:
-        """Raises InputError for a value that makes no world."""
+        """Raises InputError for a value that makes no world; of `models`, the station does for what it lacks."""
+        if not self.models.endswith(DIRECTIVES) or Path(self.models).name != self.models:
+            raise InputError(f"world.models '{self.models}' is no file's name in sdf/: give one like ARM{DIRECTIVES}")
         try:
             for name in POSITIVE:
                 require_positive(f"world.{name}", attrgetter(name)(self))

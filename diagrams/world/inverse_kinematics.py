@@ -5,6 +5,7 @@ from pydrake.math import RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import Solve
 
+from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import arm_plant
 from models.errors import InputError
@@ -15,11 +16,11 @@ TILT_DEG = 85.0  # down, leaning outwards by 5: leaves 9 deg to every joint limi
 class HandKinematics:
     """Joint angles that put the grasp frame somewhere, nearest to a preferred posture."""
 
-    def __init__(self, preferred_joints: np.ndarray):
-        """`preferred_joints`: (7,) rad."""
-        self._plant = arm_plant()
+    def __init__(self, world: World):
+        """The arm of `world`; it prefers the initial posture."""
+        self._plant = arm_plant(world)
         self._context = self._plant.CreateDefaultContext()
-        self._preferred = np.append(preferred_joints, [0.0, 0.0])
+        self._preferred = np.append(world.initial_posture[:ARM_JOINTS], [0.0, 0.0])
         self.lower = self._plant.GetPositionLowerLimits()[:ARM_JOINTS]
         self.upper = self._plant.GetPositionUpperLimits()[:ARM_JOINTS]
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
@@ -37,24 +38,33 @@ class Scenario:
         self.world.check()
 
 
-def load_scenario(path: Path) -> Scenario:
-    """The scenario in the YAML file `path`, over the defaults; raises InputError for what does not fit."""
-    from pydrake.common.yaml import yaml_load_typed
+Loaded = TypeVar("Loaded", Scenario, World)
 
-    if not path.is_file():
-        raise InputError(f"there is no scenario file {path}: check the name")
-    try:
-        return yaml_load_typed(schema=Scenario, filename=str(path), defaults=Scenario())
-    except Exception as error:  # the loader raises many types, each with its own words for what does not fit
-        reason, keys = " ".join(str(error).split()), "its keys are those of Scenario in diagrams/world/scenario.py"
-        raise InputError(f"the scenario file {path} does not fit: {reason}; {keys}") from error
+
+def load_scenario(path: Path, world: World | None = None) -> Scenario:
+    """The scenario in the YAML file `path`, over `world` and the defaults; raises InputError for what does not fit."""
+    return _load(path, "scenario", Scenario(world=world or World()), "scenario.py")
 
 
 def load_world(path: Path | None) -> World:
-    """The world of the scenario file `path`, or the default one; raises InputError as `load_scenario` does."""
-    world = World() if path is None else load_scenario(path).world
+    """The world in the YAML file `path`, over the default one; raises InputError for what does not fit."""
+    world = World() if path is None else _load(path, "world", World(), "configuration.py")
     world.check()
     return world
+
+
+def _load(path: Path, what: str, defaults: Loaded, source: str) -> Loaded:
+    """What the YAML file `path` holds, a `what`, over `defaults`, whose class stands in `source`."""
+    from pydrake.common.yaml import yaml_load_typed
+
+    if not path.is_file():
+        raise InputError(f"there is no {what} file {path}: check the name")
+    try:
+        return yaml_load_typed(schema=type(defaults), filename=str(path), defaults=defaults)
+    except Exception as error:  # the loader raises many types, each with its own words for what does not fit
+        reason = " ".join(str(error).split())
+        keys = f"its keys are those of {type(defaults).__name__} in diagrams/world/{source}"
+        raise InputError(f"the {what} file {path} does not fit: {reason}; {keys}") from error
 
 
 def save_scenario(path: Path, scenario: Scenario, comments: list[str] | None = None) -> None:

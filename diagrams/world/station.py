@@ -35,7 +35,8 @@ from pydrake.systems.sensors import CameraInfo, RgbdSensor
 from diagrams.world.approach_meter import ApproachMeter
 from diagrams.world.can_mover import declare_can_place
 from diagrams.world.configuration import World
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS, FINGERS, other_spot
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS, DIRECTIVES, FINGERS, SPOTS, other_spot
+from diagrams.world.parts import CAMERAS, require_parts
 from models.command_line import ROOT
 from models.errors import InputError
 
@@ -43,15 +44,31 @@ RENDERER = "vtk"
 FILM = (960, 720, 42.0)  # width, height (pixels) and vertical field of view (deg) of the camera for people
 
 
-def add_models(plant: MultibodyPlant, names: tuple[str, ...] | None = None) -> None:
-    """Adds the models of sdf/pick_place.dmd.yaml to `plant`; with `names`, only those, and their welds."""
-    parser = Parser(plant)
+def add_models(plant: MultibodyPlant, world: World, names: tuple[str, ...] | None = None) -> None:
+    """Adds the models of `world` to `plant`; with `names`, only those, and their welds.
+
+    Raises InputError where its file is not there, does not fit, or lacks a part that others look up.
+    """
+    file, parser = ROOT / "sdf" / world.models, Parser(plant)
     parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
-    directives = LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml")).directives
+    if not file.is_file():
+        there = ", ".join(sorted(path.name for path in file.parent.glob(f"*{DIRECTIVES}")))
+        raise InputError(f"there is no file sdf/{world.models} (world.models): choose from {there}")
+    try:
+        directives = LoadModelDirectives(str(file)).directives
+        _add_directives(plant, parser, world, directives, names)
+    except RuntimeError as error:
+        raise InputError(f"sdf/{world.models} does not fit: {' '.join(str(error).split())}") from error
+    require_parts(plant, world, names)
+
+
+def _add_directives(
+    plant: MultibodyPlant, parser: Parser, world: World, directives: list, names: tuple[str, ...] | None
+) -> None:
     models = [d.add_model for d in directives if d.add_model and (not names or d.add_model.name in names)]
     welds = [d.add_weld for d in directives if d.add_weld and (not names or d.add_weld.child.split("::")[0] in names)]
     if any(model.default_joint_positions or model.default_free_body_pose for model in models):
-        raise InputError("sdf/pick_place.dmd.yaml gives a model defaults: give them in PickPlaceStation._set_defaults")
+        raise InputError(f"sdf/{world.models} gives a model defaults: give them in PickPlaceStation._set_defaults")
     # Not by ProcessModelDirectives: for each file that Drake opens, libsdformat reads its schema anew, which takes
     # 25 ms; for what a string includes, it does so once a process.
     included = "".join(f"<include><uri>{model.file}</uri><name>{model.name}</name></include>" for model in models)
@@ -68,10 +85,10 @@ def can_body(plant: MultibodyPlant, name: str) -> RigidBody:
     return plant.GetBodyByName("can", plant.GetModelInstanceByName(name))
 
 
-def arm_plant() -> MultibodyPlant:
-    """The arm and its gripper alone, continuous: for kinematics and gravity. Positions: 7 joints, 2 fingers."""
+def arm_plant(world: World) -> MultibodyPlant:
+    """Arm and gripper of `world` alone, continuous: for kinematics and gravity. Positions: 7 joints, 2 fingers."""
     plant = MultibodyPlant(0.0)
-    add_models(plant, ("arm", "gripper"))
+    add_models(plant, world, ("arm", "gripper"))
     plant.Finalize()
     return plant
 
@@ -133,10 +150,11 @@ class PickPlaceStation(Diagram):
             use_sampled_output_ports=False,
         )
         self.plant, self.scene_graph = AddMultibodyPlant(config, builder)
-        add_models(self.plant)
+        add_models(self.plant, world)
         self._set_servo()
         self._set_defaults()
         self.plant.Finalize()
+        self._set_default_cans()
         self.arm = self.plant.GetModelInstanceByName("arm")
         self.gripper = self.plant.GetModelInstanceByName("gripper")
         self._wire_servo(builder)
@@ -170,8 +188,11 @@ class PickPlaceStation(Diagram):
             self.plant.GetJointByName(f"joint_{j + 1}").set_default_angle(posture[j])
         for side in FINGERS:
             self.plant.GetJointByName(f"{side}_finger_joint").set_default_translation(posture[-1] / 2)
+
+    def _set_default_cans(self) -> None:
         centre = np.mean(self.world.grid.bounds, axis=0)
-        for can, xyz in zip(CANS, ([*centre, CAN_HALF_HEIGHT], [0.25, 0.43, 0.10]), strict=True):
+        shelf = np.mean([self.spot(name) for name in SPOTS], axis=0)
+        for can, xyz in zip(CANS, ([*centre, CAN_HALF_HEIGHT], shelf), strict=True):
             self.plant.SetDefaultFloatingBaseBodyPose(can_body(self.plant, can), RigidTransform(xyz))
 
     def _wire_servo(self, builder: DiagramBuilder) -> None:
@@ -197,7 +218,7 @@ class PickPlaceStation(Diagram):
         builder.ExportOutput(gap.get_output_port(), "finger_gap")
 
     def _wire_gravity_compensation(self, builder: DiagramBuilder) -> None:
-        self.arm_plant = arm_plant()
+        self.arm_plant = arm_plant(self.world)
         n, gravity = ARM_JOINTS, InverseDynamics.InverseDynamicsMode.kGravityCompensation
         compensation = builder.AddNamedSystem("gravity_compensation", InverseDynamics(self.arm_plant, gravity))
         states = builder.AddNamedSystem("arm_and_finger_states", Multiplexer([2 * n, 4]))
@@ -241,9 +262,9 @@ class PickPlaceStation(Diagram):
                 "install it (Debian and Ubuntu: apt-get install libegl1 libgl1)"
             ) from error
         camera = self.world.camera
-        self._add_sensor(builder, scene, "camera", "rgb_image", camera.width, camera.height, camera.field_of_view_deg)
+        self._add_sensor(builder, scene, CAMERAS[0], "rgb_image", camera.width, camera.height, camera.field_of_view_deg)
         if film_camera:
-            self._add_sensor(builder, scene, "film_camera", "film_image", *FILM)
+            self._add_sensor(builder, scene, CAMERAS[1], "film_image", *FILM)
 
     def _add_sensor(self, builder, scene, frame_name: str, port: str, width: int, height: int, fov_deg: float) -> None:
         info = CameraInfo(width=width, height=height, fov_y=np.deg2rad(fov_deg))

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from diagrams.world import trajectory
 from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, SPOTS, other_spot
+from diagrams.world.names import CAN_HALF_HEIGHT, SPOTS, other_spot
 from diagrams.world.station import PickPlaceStation
 from diagrams.world.task import TaskMonitor
 from models.data.recording import Recording
@@ -39,7 +39,7 @@ class Teacher:
     def __init__(self, world: World):
         self._world, self._station = world, PickPlaceStation(world)
         self._simulator = Simulator(self._station)
-        self._hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
+        self._hand = HandKinematics(world)
 
     def commands(self, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
         """(T, 8) the commands to demonstrate, and what is added to them to push the arm off its path, rad and m.

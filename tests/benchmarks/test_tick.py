@@ -105,7 +105,7 @@ def test_filter_over_the_rendering_that_the_way_home_spares(world, measure, in_t
     station = PickPlaceStation(world)
     context, system = station.CreateDefaultContext(), clearance_filter(world, station)
     own, home = system.CreateDefaultContext(), world.initial_posture[:7]
-    hand = HandKinematics(home)
+    hand = HandKinematics(world)
     start = np.append(hand.solve_ik(station.spot("left") + [0, 0, 0.06]), world.closed_opening)
     system.GetInputPort("alpha").FixValue(own, [1.0])
 
@@ -202,7 +202,7 @@ def test_a_tick_costs_the_same_after_10000(world, measure, hold):
     hold("tick 9,100 to 10,000 over tick 100 to 200", np.median(late / early[:blocks]), at_most=1.05)
 
 
-def test_models_over_one_file_each(in_turns, hold):
+def test_models_over_one_file_each(world, in_turns, hold):
     """Why diagrams/world/station.py includes the models in a string."""
 
     def seconds(add):
@@ -216,5 +216,5 @@ def test_models_over_one_file_each(in_turns, hold):
         parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
         ProcessModelDirectives(LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml")), parser)
 
-    (ratio,) = in_turns(lambda: seconds(add_models), lambda: seconds(by_files))
+    (ratio,) = in_turns(lambda: seconds(lambda plant: add_models(plant, world)), lambda: seconds(by_files))
     hold("reading the models over ProcessModelDirectives", ratio, at_most=0.25)

@@ -49,7 +49,7 @@ class FakePolicy:
 
     def __init__(self, world: World):
         self._world = world
-        self._hand = HandKinematics(world.initial_posture[:ARM_JOINTS])
+        self._hand = HandKinematics(world)
         station = PickPlaceStation(world, camera=False)
         self._spots = {name: station.spot(name) for name in SPOTS}
         self.initial_posture = world.initial_posture

@@ -6,7 +6,6 @@ from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.sampling import EpisodeSampler
 from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation
 from tests.diagrams.closed_loop_fakes import FakeEncoder, FakePolicy
 
@@ -23,7 +22,7 @@ def station(world):
 
 @pytest.fixture(scope="session")
 def hand(world):
-    return HandKinematics(world.initial_posture[:ARM_JOINTS])
+    return HandKinematics(world)
 
 
 @pytest.fixture(scope="session")

@@ -23,8 +23,8 @@ def weights(tmp_path):
 
 @pytest.mark.parametrize("name", ANALYSES)
 def test_every_analysis_takes_the_common_options(name):
-    arguments = parse([name, "--seed", "3", "--out", "there", "--scenario", "s.yaml"])
-    assert (arguments.seed, str(arguments.out), str(arguments.scenario)) == (3, "there", "s.yaml")
+    arguments = parse([name, "--seed", "3", "--out", "there", "--world", "s.yaml"])
+    assert (arguments.seed, str(arguments.out), str(arguments.world)) == (3, "there", "s.yaml")
     assert type(arguments) is ANALYSES[name]
 
 
@@ -44,7 +44,7 @@ def test_options_of_the_analyses(tmp_path):
     [
         (["states", "--seed", "-1"], "--seed -1 is too small: choose 0 or more"),
         (["states", "--rnn", "rnn"], "no network 'rnn'"),
-        (["states", "--scenario", "none.yaml"], r"no scenario file none\.yaml"),
+        (["states", "--world", "none.yaml"], r"no world file none\.yaml"),
         (["return", "--samples", "0"], "--samples 0 is too small: choose 1 or more"),
         (["return", "--draws", "0"], "--draws 0 is too small: choose 1 or more"),
         (["modes", "--max-crossings", "-1"], "--max-crossings -1 is too small"),
@@ -83,9 +83,9 @@ def test_states_writes_its_files(tmp_path, weights, capsys):
     assert "<svg" in (out / "graph.svg").read_text()
 
 
-def test_the_world_is_that_of_the_scenario(tmp_path, weights):
-    (tmp_path / "s.yaml").write_text("world:\n  timing:\n    time_step: 0.00625\n")
-    asked = ["states", "--weights", weights, "--scenario", str(tmp_path / "s.yaml"), "--out", str(tmp_path)]
+def test_the_world_is_that_of_the_file(tmp_path, weights):
+    (tmp_path / "s.yaml").write_text("timing: {time_step: 0.00625}\n")
+    asked = ["states", "--weights", weights, "--world", str(tmp_path / "s.yaml"), "--out", str(tmp_path)]
     assert main(parse(asked)) == 0
     periods = {s["owner"]: s["period"] for s in json.loads((tmp_path / "states.json").read_text())["states"]}
     assert periods["station/plant"] == 0.00625
@@ -117,10 +117,10 @@ def test_linearize_compares_policies(tmp_path, weights):
 
 
 def test_a_policy_of_another_world_is_not_linearised(tmp_path, weights):
-    (tmp_path / "s.yaml").write_text("world:\n  timing:\n    period: 0.05\n")
+    (tmp_path / "s.yaml").write_text("timing: {period: 0.05}\n")
     asked = ["--policies", f"{weights}/lstm.onnx", "--encoder", f"{weights}/encoder.onnx"]
     with pytest.raises(InputError, match=r"period is 0\.05, the network was trained with 0\.1"):
-        main(parse(["linearize", *asked, "--scenario", str(tmp_path / "s.yaml"), "--out", str(tmp_path)]))
+        main(parse(["linearize", *asked, "--world", str(tmp_path / "s.yaml"), "--out", str(tmp_path)]))
 
 
 def test_a_detector_that_notices_everything_has_no_guard_to_probe(tmp_path, weights):
@@ -152,9 +152,9 @@ def test_return_goes_on_after_a_kill(tmp_path, monkeypatch):
     kept = out / "return_trajectories.jsonl"
     rows = 1 + 2 + 4 + 6 + 2  # the fingerprint, two episodes and their postures, the box, two episodes
     assert len(kept.read_text().splitlines()) == rows
-    (tmp_path / "s.yaml").write_text("world:\n  regulator:\n    state_weight: 2.0\n")
+    (tmp_path / "s.yaml").write_text("regulator: {state_weight: 2.0}\n")
     with pytest.raises(InputError, match=r"return_trajectories\.jsonl was made with another world\.regulator"):
-        main(parse([*asked, str(out), "--scenario", str(tmp_path / "s.yaml")]))
+        main(parse([*asked, str(out), "--world", str(tmp_path / "s.yaml")]))
     kept.write_text(kept.read_text() + "nonsense\n")
     with pytest.raises(InputError, match=rf"damaged in line {rows + 1}: delete that line"):
         main(parse([*asked, str(out)]))

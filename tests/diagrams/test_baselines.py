@@ -182,9 +182,9 @@ def test_other_settings_are_refused(folder, data, asked, tmp_path):
     before = (folder / "subspace.safetensors").read_bytes()
     with pytest.raises(InputError, match=r"subspace.safetensors was made with other disturbed \(3\)"):
         baselines.main(replace(given, disturbed=2))
-    (tmp_path / "world.yaml").write_text("world: {timing: {time_step: 0.00625}}\n")
+    (tmp_path / "world.yaml").write_text("timing: {time_step: 0.00625}\n")
     with pytest.raises(InputError, match=r"made with other world"):
-        baselines.main(replace(given, scenario=tmp_path / "world.yaml"))
+        baselines.main(replace(given, world=tmp_path / "world.yaml"))
     assert not asked
     assert (folder / "subspace.safetensors").read_bytes() == before
 
@@ -204,7 +204,7 @@ def test_other_settings_are_refused(folder, data, asked, tmp_path):
         ({"seed": 100}, "seed 100"),
         ({"policies": []}, "no policy is given"),
         ({"data": Path("nowhere.h5")}, "nowhere.h5: the data set does not exist"),
-        ({"scenario": Path("nowhere.yaml")}, "no scenario file"),
+        ({"world": Path("nowhere.yaml")}, "no world file"),
     ],
 )
 def test_bad_input_is_refused(folder, data, asked, changes, named):

@@ -163,7 +163,7 @@ def test_calibration_without_any_success_is_an_error(candidates, monkeypatch):
     [
         ({"out": Path("/dev/null/lstm.onnx")}, r"/dev/null/lstm\.onnx cannot be written"),
         ({"out": Path("/")}, r"/ cannot be written \(Is a directory\)"),
-        ({"scenario": Path("nowhere.yaml")}, r"no scenario file nowhere\.yaml"),
+        ({"world": Path("nowhere.yaml")}, r"no world file nowhere\.yaml"),
         ({"candidates": [Path("nowhere.onnx")]}, r"nowhere\.onnx: the weight file does not exist"),
         ({"workers": -1}, "number of workers -1 is out of range"),
         ({"seed": 100}, "seed 100 is outside of 0 to 99"),
@@ -181,7 +181,7 @@ def test_bad_input_is_refused_before_an_episode_runs(candidates, monkeypatch, ch
     assert not (candidates[0].parent / "out" / "lstm.onnx").exists()  # a look leaves nothing behind
 
 
-def test_the_scenario_s_world_is_run(candidates, monkeypatch, tmp_path):
+def test_the_world_of_a_file_is_run(candidates, monkeypatch, tmp_path):
     class Enough(Exception):
         pass
 
@@ -190,9 +190,9 @@ def test_the_scenario_s_world_is_run(candidates, monkeypatch, tmp_path):
         raise Enough
 
     monkeypatch.setattr(validation, "run_episode", run_episode)
-    (tmp_path / "world.yaml").write_text("world: {timing: {time_step: 0.00625}}\n")
+    (tmp_path / "world.yaml").write_text("timing: {time_step: 0.00625}\n")
     with pytest.raises(Enough):
-        calibrate.main(arguments(candidates, scenario=tmp_path / "world.yaml"))
+        calibrate.main(arguments(candidates, world=tmp_path / "world.yaml"))
 
 
 def test_an_error_of_a_process_is_the_program_s(candidates):

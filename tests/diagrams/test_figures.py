@@ -96,7 +96,7 @@ def test_options():
         ({"rnn": "gru"}, InputError, "no network 'gru'.*choose from lstm"),
         ({"sweep": [Path("nowhere")]}, InputError, "episodes.parquet does not exist: run diagrams/sweep.py"),
         ({"records": [Path("nowhere.npz")]}, InputError, "no record nowhere.npz"),
-        ({"scenario": Path("nowhere.yaml")}, InputError, "no scenario file nowhere.yaml"),
+        ({"world": Path("nowhere.yaml")}, InputError, "no world file nowhere.yaml"),
         ({"out": Path("/dev/null/out")}, InputError, "cannot be written"),
     ],
 )

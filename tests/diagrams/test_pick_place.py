@@ -140,6 +140,13 @@ def test_options():
     assert (cli.meshcat, cli.realtime_rate, cli.profile) == (True, 1.0, True)
 
 
+def test_words_come_before_what_takes_long_to_load():
+    slow = ("onnxruntime", "torch", "matplotlib", "scipy", "cv2", "pydrake.geometry", "pydrake.multibody.plant")
+    code = f"import sys, diagrams.pick_place; print([name for name in {slow} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
 def test_help_into_a_closed_pipe_ends_quietly():
     done = subprocess.run(
         f"{sys.executable} {PROGRAM} --help | head -n 1", shell=True, capture_output=True, text=True, check=False

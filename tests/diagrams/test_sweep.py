@@ -175,11 +175,11 @@ def test_other_weights_do_not_mix(tmp_path, weights, faked):
 
 def test_another_world_or_code_does_not_mix(tmp_path, weights, faked, monkeypatch):
     assert run(weights, tmp_path / "out") == 0
-    scenario = tmp_path / "soft.yaml"
-    scenario.write_text("world: {servo: {finger_stiffness: 1500.0}}\n")
+    world = tmp_path / "soft.yaml"
+    world.write_text("servo: {finger_stiffness: 1500.0}\n")
     with pytest.raises(InputError, match=r"world.servo.finger_stiffness \(2000.0, now 1500.0\): choose another --out"):
-        run(weights, tmp_path / "out", scenario=scenario)
-    assert run(weights, tmp_path / "soft", scenario=scenario) == 0
+        run(weights, tmp_path / "out", world=world)
+    assert run(weights, tmp_path / "soft", world=world) == 0
     code = fingerprint.code_hash()
     monkeypatch.setattr(fingerprint, "code_hash", lambda: "changed")
     with pytest.raises(InputError, match=rf"another code \({code}, now changed\)"):
@@ -252,7 +252,7 @@ def test_episodes_end_with_the_switching_where_that_is_asked(tmp_path, weights, 
         ({"rnn": ["gru"]}, InputError, "no network 'gru'"),
         ({"detector": ["recall", "never"], "gamma": [3.0]}, InputError, "--gamma says nothing to the detector 'never'"),
         ({"detector": ["knn"]}, WeightsError, "knn.safetensors.*does not exist"),
-        ({"scenario": Path("nowhere.yaml")}, InputError, "no scenario file nowhere.yaml"),
+        ({"world": Path("nowhere.yaml")}, InputError, "no world file nowhere.yaml"),
         ({"out": Path("/dev/null/out")}, InputError, "cannot be written"),
         ({"scheduler": "nonsense://1"}, InputError, "no Dask scheduler at nonsense://1"),
     ],

@@ -106,7 +106,7 @@ def test_a_demonstration_that_fails_is_named(monkeypatch, tmp_path, capsys):
         ({"workers": -1}, "the number of workers -1 is out of range: choose from 0 to 1000"),
         ({"limit": 0}, "--limit 0 is too small: choose 1 or more"),
         ({"out": Path("/dev/null/y.h5")}, r"/dev/null/y\.h5 cannot be written"),
-        ({"scenario": Path("nowhere.yaml")}, r"no scenario file nowhere\.yaml"),
+        ({"world": Path("nowhere.yaml")}, r"no world file nowhere\.yaml"),
     ],
 )
 def test_bad_input_is_named(tmp_path, changes, named):
@@ -133,14 +133,15 @@ def test_another_seed_is_another_content(whole, tmp_path):
     assert read_header(tmp_path / "other.h5").content_hash != whole
 
 
-def test_the_scenario_s_world_is_taught(fake, tmp_path):
-    scenario, path = tmp_path / "world.yaml", tmp_path / "y.h5"
-    scenario.write_text("world:\n  grid: {count: 2}\n  timing: {period: 0.2}\n")
-    assert teach.main(arguments(path, scenario=scenario, limit=None)) == 0
+def test_the_world_of_a_file_is_taught(fake, tmp_path):
+    world, path = tmp_path / "world.yaml", tmp_path / "y.h5"
+    world.write_text("grid: {count: 2}\ntiming: {period: 0.2}\n")
+    assert teach.main(arguments(path, world=world, limit=None)) == 0
     with h5py.File(path) as file:
         assert len(file["data"]) == 2 * 2 * 2
         assert file["data"].attrs["period"] == 0.2
-    assert read_header(path).world == {"period": 0.2, "camera": [112, 112, 43.0], "closed_opening": 0.03}
+    trained = {"models": "pick_place.dmd.yaml", "period": 0.2, "camera": [112, 112, 43.0], "closed_opening": 0.03}
+    assert read_header(path).world == trained
     with h5py.File(path) as file:
         assert json.loads(file["data"].attrs["env_args"])["world"]["grid"]["count"] == 2
     with pytest.raises(InputError, match="another world"):

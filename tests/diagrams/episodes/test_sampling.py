@@ -112,7 +112,7 @@ def way_home_touches(checker, world, episode, left_at):
 
 
 def test_targets_are_off_the_path_and_within_limits(episodes, world, hand, station):
-    checker = CollisionChecker()
+    checker = CollisionChecker(world)
     for episode in episodes["A"]:
         given = episode.disturbance
         target, start = np.array(given.target), posture_at_onset(world, hand, station, episode)
@@ -127,7 +127,7 @@ def test_targets_are_off_the_path_and_within_limits(episodes, world, hand, stati
 
 
 def test_a_way_home_that_touches_something_is_kept_and_said(sampler, world, hand, station):
-    checker, clear = CollisionChecker(), []
+    checker, clear = CollisionChecker(world), []
     for seed in range(40):
         episode = sampler.sample(seed, "B")
         touched = way_home_touches(checker, world, episode, posture_at_onset(world, hand, station, episode))
@@ -203,7 +203,7 @@ def test_a_scene_that_leaves_no_way_to_a_posture_is_named(sampler, monkeypatch):
 
 
 def test_long_paths_are_looked_at_every_degree(world, monkeypatch):
-    checker, home = CollisionChecker(), world.initial_posture[:7]
+    checker, home = CollisionChecker(world), world.initial_posture[:7]
     seen = []
     monkeypatch.setattr(checker, "first_touch", seen.append)
     assert checker.path_touches(home, home + np.deg2rad([0, 0, 0, 0, 0, 89.5, -10.0])) is None

@@ -194,9 +194,9 @@ def test_program(tmp_path, capsys, world):
     (tmp_path / "rows.jsonl").unlink()
     with RowStore(tmp_path / "rows.jsonl", own):
         pass
-    (tmp_path / "soft.yaml").write_text("world: {regulator: {input_weight: 45.0}}\n")
+    (tmp_path / "soft.yaml").write_text("regulator: {input_weight: 45.0}\n")
     with pytest.raises(InputError, match=r"the world and return differ in .*regulator"):
-        analysis.main(analysis.parse([*asked, "--scenario", str(tmp_path / "soft.yaml")]))
+        analysis.main(analysis.parse([*asked, "--world", str(tmp_path / "soft.yaml")]))
     with pytest.raises(InputError, match=r"there is no .*episodes\.parquet: give the folder"):
         analysis.main(analysis.parse(asked))
     (tmp_path / "episodes.parquet").write_text("cut short")

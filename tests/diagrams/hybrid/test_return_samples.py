@@ -15,7 +15,7 @@ def test_postures_of_the_box_touch_nothing(world):
     gauge, home = BoxGauge.of(world), world.initial_posture[:7]
     samples = box_samples(world, gauge, 12, np.random.default_rng(3))
     assert [sample.held for sample in samples] == [False, True] * 6
-    checker = CollisionChecker(gap=0.0)
+    checker = CollisionChecker(world, gap=0.0)
     for sample in samples:
         assert gauge.value(np.array(sample.joints) - home) <= 1.0
         checker.set_scene(None if sample.held else sample.can_xy, sample.vacant)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from diagrams.world.collisions import CollisionChecker
+from diagrams.world.configuration import World
 from diagrams.world.names import CANS
 from diagrams.world.station import arm_plant, can_body
 
@@ -17,7 +18,7 @@ PLACE = np.array([0.5, 0.0])  # the can to pick stands aside
 )
 def test_height_over_the_desk(hand, held, below):
     for gap in (0.01, 0.004):
-        checker = CollisionChecker(gap)
+        checker = CollisionChecker(World(), gap)
         checker.set_scene(None if held else np.array([0.5, 0.3]), "left")
         for above, touched in ((gap + 0.001, None), (gap - 0.001, "desk")):
             assert checker.first_touch(hand.solve_ik(np.array([*PLACE, below + above]))) == touched
@@ -25,13 +26,13 @@ def test_height_over_the_desk(hand, held, below):
 
 def test_the_can_turns_with_the_hand(hand):
     joints = np.deg2rad([0.0, 40.0, 0.0, 90.0, 0.0, -40.0, 0.0])  # the hand points outwards
-    arm = arm_plant()
+    arm = arm_plant(World())
     context = arm.CreateDefaultContext()
     arm.SetPositions(context, np.append(joints, [0.0, 0.0]))
     X_WG = arm.GetFrameByName("grasp").CalcPoseInWorld(context)
     out_of_the_hand = X_WG.rotation().matrix()[:, 2]
     assert out_of_the_hand == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
-    checker = CollisionChecker()
+    checker = CollisionChecker(World())
     checker.set_scene(None, "left")
     checker.first_touch(joints)
     pose = can_body(checker._plant, CANS[0]).EvalPoseInWorld(checker._plant_context)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from diagrams.world.collisions import CollisionChecker
+from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import TILT_DEG
 from diagrams.world.names import CAN_HALF_HEIGHT, SPOTS
 from diagrams.world.station import arm_plant, controller_limits
@@ -33,7 +34,7 @@ def test_solution_puts_the_hand_there(hand, position):
     position = np.array(position)
     joints = hand.solve_ik(position)
     assert hand.grasp_position(joints) == pytest.approx(position, abs=1e-5)
-    plant = arm_plant()
+    plant = arm_plant(World())
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.append(joints, [0.0, 0.0]))
     R = plant.GetFrameByName("grasp").CalcPoseInWorld(context).rotation().matrix()
@@ -99,8 +100,8 @@ def test_hand_comes_down_from_above(taught, hand):
 
 
 @pytest.fixture(scope="module")
-def checker():
-    return CollisionChecker()
+def checker(world):
+    return CollisionChecker(world)
 
 
 def test_home_is_clear(checker, world):

@@ -53,7 +53,7 @@ HALF = np.sqrt(0.5)
     ],
 )
 def test_forward_kinematics_by_hand(degrees, position):
-    plant = arm_plant()
+    plant = arm_plant(World())
     context = plant.CreateDefaultContext()
     for j in range(1, ARM_JOINTS + 1):
         plant.GetJointByName(f"joint_{j}").set_angle(context, np.deg2rad(degrees.get(j, 0.0)))
@@ -63,7 +63,7 @@ def test_forward_kinematics_by_hand(degrees, position):
 
 
 def test_the_last_joint_turns_the_flange():
-    plant = arm_plant()
+    plant = arm_plant(World())
     context = plant.CreateDefaultContext()
     plant.GetJointByName("joint_7").set_angle(context, np.deg2rad(90))
     R = plant.GetFrameByName("flange").CalcPoseInWorld(context).rotation().matrix()
@@ -82,7 +82,7 @@ def test_limits_efforts_and_speeds_are_the_public_figures(station, j):
 def test_the_models_are_those_that_drake_reads_from_the_directives():
     """Each body of the same model, with the same mass, at the same place."""
     own, drakes = MultibodyPlant(0.0), MultibodyPlant(0.0)
-    add_models(own)
+    add_models(own, World())
     parser = Parser(drakes)
     parser.package_map().AddPackageXml(str(ROOT / "sdf" / "package.xml"))
     ProcessModelDirectives(LoadModelDirectives(str(ROOT / "sdf" / "pick_place.dmd.yaml")), parser)
@@ -218,7 +218,7 @@ def test_defaults_of_a_model_are_not_passed_over(monkeypatch, tmp_path):
     (tmp_path / "sdf" / "package.xml").write_text((ROOT / "sdf" / "package.xml").read_text())
     monkeypatch.setattr("diagrams.world.station.ROOT", tmp_path)
     with pytest.raises(InputError, match="gives a model defaults"):
-        arm_plant()
+        arm_plant(World())
 
 
 def test_servo_gains_are_really_set(station):
