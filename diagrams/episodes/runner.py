@@ -25,7 +25,7 @@ class Job:
     kind: str = "none"
     episode: Episode | None = None
     until: Until = "task"  # what the run ends with
-    pictures: bool = False
+    picture_every: int = 0  # see Rollout.run
 
 
 def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
@@ -44,7 +44,7 @@ def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
 def run_episode(job: Job) -> tuple[Outcome, Record]:
     """Runs the episode of `job`; raises InputError as `make_detector`, `EpisodeSampler` and `Rollout` do."""
     rollout, episode, calibration = _prepared(job)
-    return rollout.run(episode, until=job.until, pictures=job.pictures, calibration=calibration)
+    return rollout.run(episode, until=job.until, picture_every=job.picture_every, calibration=calibration)
 
 
 def run_branched(job: Job) -> tuple[Outcome, Record, int]:

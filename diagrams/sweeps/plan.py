@@ -12,7 +12,7 @@ from diagrams.episodes.calibration import UNFITTED
 from diagrams.episodes.pool import MOST_WORKERS
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
 from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
-from diagrams.sweeps.task import Task
+from diagrams.sweeps.task import FILES, Task
 from diagrams.world.configuration import World
 from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
 from models.errors import InputError
@@ -41,6 +41,7 @@ class SweepArguments:
     weights: Path = WEIGHTS  # folder of the trained networks
     out: Path = Path("outputs/sweep")  # folder of rows.jsonl, episodes.parquet and summary.json
     keep_records: bool = False  # keep the record of each episode that is run in OUT/records
+    mcap: bool = False  # write each episode that is run as an MCAP file to OUT/mcap
     retry_errors: bool = False  # run episodes that raised an error once more
 
     def check(self) -> None:
@@ -62,8 +63,9 @@ class SweepArguments:
         for gamma in self.gamma:
             if not 0.0 < gamma < math.inf:
                 raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
-        if self.keep_records and self.until != "task":
-            raise InputError("--keep-records keeps whole episodes, which --until switching cuts short: leave one out")
+        for option, given in (("--keep-records", self.keep_records), ("--mcap", self.mcap)):
+            if given and self.until != "task":
+                raise InputError(f"{option} keeps whole episodes, which --until switching cuts short: leave one out")
 
 
 def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]]:
@@ -113,10 +115,11 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
         kind: blocked_seeds(world, *asked, kind, arguments.workers) if blocked else episode_seeds(*asked)
         for kind in kinds
     }
+    files = tuple(name for name in FILES if (arguments.keep_records if name == "records" else arguments.mcap))
     tasks = [
         Task(
             world, rnn, training_seed, detector, gamma, kind, seed, policy_hash, encoder_hash, learned, calibration,
-            arguments.until, arguments.keep_records,
+            arguments.until, files,
         )
         for rnn, training_seed, detector, gamma, policy_hash, learned, calibration in controllers
         for kind in kinds
