@@ -181,7 +181,7 @@ class LeRobotFolder(AbstractContextManager):
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f"part-{path.name}")  # the end says the format
         with av.open(str(partial), "w") as container:
-            stream = container.add_stream(CODEC, rate=self._fps, options=CODEC_OPTIONS)
+            stream: Any = container.add_stream(CODEC, rate=self._fps, options=CODEC_OPTIONS)
             stream.height, stream.width, stream.pix_fmt = *pictures.shape[1:3], "yuv420p"
             for picture in pictures:
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")))
