@@ -75,7 +75,7 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.drawing import PLOT_FORMATS
     from diagrams.drawing.graph import FORMATS as GRAPH_FORMATS
     from diagrams.drawing.graph import save_graph
-    from diagrams.episodes.calibration import Controller, policy_file, require_named, stored_calibration
+    from diagrams.episodes.calibration import controller_of, require_named, stored_calibration
     from diagrams.episodes.record import PICTURE_EVERY, save_record
     from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
@@ -93,14 +93,15 @@ def main(cli: PickPlaceArguments) -> int:
     if cli.mcap is not None:
         require("foxglove")
     episode = EpisodeSampler(cli.world).episode(cli)
-    controller = Controller(policy_file(cli.weights, cli.rnn), cli.detector)
+    controller = controller_of(cli.weights, cli.rnn, cli.detector, cli.policy)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
     rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, meshcat=meshcat, video=cli.video)
-    require_named(rollout.policy, cli.rnn, controller.policy)
+    if cli.policy is None:
+        require_named(rollout.policy, cli.rnn, controller.policy)
     calibration = stored_calibration(cli.detector, rollout.policy, cli.weights)
     for path in written:
         require_writable(path)

@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-import cv2
 import gymnasium
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -24,7 +23,7 @@ from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import REST_SECONDS, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
 from systems.disturbance import Disturbance
-from systems.image_encoder import ENCODED
+from systems.image_encoder import ENCODED, encoded_picture
 
 
 class Observation(LeafSystem):
@@ -53,10 +52,8 @@ class Observation(LeafSystem):
         self.DeclareAbstractOutputPort("observation", lambda: AbstractValue.Make({}), self._calc)
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
-        rgb = self._image.Eval(context).data[:, :, :3]
-        if rgb.shape[:2] != (ENCODED, ENCODED):
-            rgb = cv2.resize(rgb, (ENCODED, ENCODED), interpolation=cv2.INTER_AREA)
-        output.set_value({"rgb": rgb.copy(), "posture": self._posture.Eval(context).copy()})
+        rgb = encoded_picture(self._image.Eval(context))
+        output.set_value({"rgb": rgb, "posture": self._posture.Eval(context).copy()})
 
 
 class PickPlaceEnv(DrakeGymEnv):

@@ -40,6 +40,7 @@ class Task:
     calibration: Calibration | None = None  # what gamma makes of the one in the files
     until: Until = "task"
     files: tuple[str, ...] = ()  # sent along, of FILES
+    policy: str | None = None  # package.module:Class, whose name `rnn` is then
     code: str = dataclasses.field(default_factory=code_hash)  # that the sweep was started with
 
     @property
@@ -64,14 +65,17 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
                 f"this worker has another version of the program ({code_hash()}, the sweep {task.code}): "
                 "update it, then --retry-errors"
             )
-        controller = Controller(folder / policy_name(task.rnn, task.training_seed), task.detector, task.calibration)
+        path = folder / policy_name(task.rnn, task.training_seed)
+        controller = Controller(path, task.detector, task.calibration, task.policy)
         until, every = task.until, 1 if "mcap" in task.files else PICTURE_EVERY if task.files else 0
         job = Job(
             task.world, folder / ENCODER, controller, task.seed, task.disturbance, until=until, picture_every=every
         )
         outcome, record = run_episode(job)
         if outcome.weights_hash != task.weights_hash:
-            raise InputError(f"{controller.policy} was changed under the sweep: put it back, then --retry-errors")
+            raise InputError(
+                f"{task.policy or controller.policy} was changed under the sweep: put it back, then --retry-errors"
+            )
         before, after = stretches(record)
         row = {
             **outcome.to_dict(),
