@@ -150,7 +150,7 @@ def test_bad_input_is_named(folder, tmp_path):
 def test_lerobots_own_loader_reads_it(folder):
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    dataset = LeRobotDataset("hindsight/pick_place", root=folder, video_backend="pyav")
+    dataset = LeRobotDataset("hindsight/pick_place", root=folder)
     assert (len(dataset), dataset.num_episodes, dataset.fps) == (sum(LENGTHS), 3, 10)
     for index, tick in ((0, 0), (1, 24), (2, 7)):
         item, given = dataset[sum(LENGTHS[:index]) + tick], recording(index)
