@@ -9,17 +9,29 @@
    was trained or selected: split conformal, see `conformal` in diagrams/episodes/thresholds.py. None is left out.
 3. Disturbed runs of that seed say how many are missed at gamma, and whether a gamma bounds both.
 
+With --policy package.module:Class it calibrates --detector for that policy by the same steps, and writes, or adds to,
+the detector's file OUT.
+
 Exit code 2: bad input.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
 
-from diagrams.episodes.calibration import Calibration, Controller, never_fires
+from diagrams.episodes.calibration import (
+    RECALL,
+    UNFITTED,
+    Calibration,
+    Controller,
+    arrays_hash,
+    detector_file,
+    make_detector,
+    never_fires,
+)
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.sampling import episode_seeds
@@ -31,6 +43,8 @@ from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.command_line import require, require_writable, run
 from models.errors import InputError
+from models.policy import POLICIES
+from systems.detectors import DETECTORS
 
 BETA = 30.0  # the paper's
 
@@ -39,8 +53,10 @@ BETA = 30.0  # the paper's
 class CalibrateArguments:
     """Command line of calibrate.py."""
 
-    candidates: list[Path]  # policy files with recall heads
-    out: Path  # the calibrated copy of the best one
+    out: Path  # the calibrated copy of the best candidate; with --policy FOLDER/DETECTOR.safetensors
+    candidates: list[Path] = field(default_factory=list)  # policy files with recall heads
+    policy: str | None = None  # package.module:Class of one's own (models/policy.py), instead of candidates
+    detector: str = RECALL  # calibrated for --policy; what it has learned is in OUT, or beside --encoder
     world: Path | None = None  # YAML file of the world that the episodes run in
     encoder: Path = WEIGHTS / ENCODER  # file of the encoder
     episodes: int = (
@@ -57,8 +73,14 @@ class CalibrateArguments:
     def check(self) -> None:
         """Raises InputError for a value outside its choices."""
         require_writable(self.out)
-        if not self.candidates:
-            raise InputError("no candidate is given: give --candidates one file or more")
+        if bool(self.candidates) == (self.policy is not None):
+            raise InputError("candidates and policy: give --candidates one file or more, or give --policy")
+        if self.policy is None and self.detector != RECALL:
+            raise InputError(f"--detector {self.detector} goes with --policy: for networks run diagrams/baselines.py")
+        if self.policy is not None and DETECTORS.label(self.detector) == "never":
+            raise InputError("the detector 'never' has nothing to calibrate: choose another")
+        if self.policy is not None and self.out.name != (name := detector_file(Path(), self.detector).name):
+            raise InputError(f"--out {self.out} is not how the detector's file is found: call it {name}")
         for name in ("episodes", "runs", "disturbed"):
             if (value := getattr(self, name)) < 1:
                 raise InputError(f"--{name} {value} is too small: choose 1 or more")
@@ -82,14 +104,25 @@ def main(arguments: CalibrateArguments) -> int:
     arguments.check()
     require("scipy")
     from models.files.container import file_hash
+    from models.files.detectors import save_detector
     from models.files.policies import read_policy, write_policy
     from models.inference import Policy
 
     world = load_world(arguments.world)
-    off = {path: Controller(path, calibration=never_fires(Policy(path).horizon + 1)) for path in arguments.candidates}
+    learned: dict[str, str] = {}
+    if arguments.policy is not None:
+        stored, off = begun(arguments)
+        learned["learned"] = arrays_hash(stored.arrays)
+    else:
+        off = {
+            path: Controller(path, calibration=never_fires(Policy(path).horizon + 1)) for path in arguments.candidates
+        }
     rooms = [f"diagrams/episodes/{name}.py" for name in ("thresholds", "validation")]
-    made_with = fingerprint(world, *rooms, encoder=file_hash(arguments.encoder))
-    kept = arguments.kept / f"{arguments.out.stem}.jsonl"
+    made_with = fingerprint(world, *rooms, encoder=file_hash(arguments.encoder), **learned)
+    stem = "-".join(
+        part for part in (arguments.policy and POLICIES.label(arguments.policy), arguments.out.stem) if part
+    )
+    kept = arguments.kept / f"{stem}.jsonl"
     with Pool(arguments.workers) as pool, RowStore(kept, made_with, "--kept") as store:
         selecting, calibrating = (
             Validation(pool, world, arguments.encoder, seed, store)
@@ -107,7 +140,6 @@ def main(arguments: CalibrateArguments) -> int:
     missed = {kind: misses(found[kind], gamma.gamma, margin, arguments.delta) for kind in "AB"}
     words = [gamma.words(), *(part.words(kind, gamma.gamma) for kind, part in missed.items())]
     print(f"{chosen.name}, largest error by its mean: {spans(found)}", *words, sep="\n", flush=True)
-    facts, graph = read_policy(chosen)
     notes = {
         "chosen": chosen.name,
         "selection": {f"{path.parent.name}/{path.name}": entry for path, entry in tallies.items()},
@@ -118,11 +150,41 @@ def main(arguments: CalibrateArguments) -> int:
         "missed": {kind: vars(part) for kind, part in missed.items()},
         "words": words,
     }
+    if arguments.policy is not None:
+        policy = off[chosen].load()
+        stored.calibrations[policy.hash] = {"mean_errors": means.tolist(), "beta": BETA, "gamma": gamma.gamma}
+        stored.metadata[policy.hash] = {"policy": policy.name, "calibration": notes}
+        save_detector(arguments.out, stored)
+        print(f"written: {arguments.out}, the calibration of {policy.name} added")
+        return 0
+    facts, graph = read_policy(chosen)
     metadata = {**facts.metadata, "calibration": notes}
     calibrated = replace(facts, mean_errors=means, beta=BETA, gamma=gamma.gamma, metadata=metadata)
     write_policy(arguments.out, calibrated, graph.content)
     print(f"{chosen.name} is taken; written: {arguments.out}")
     return 0
+
+
+def begun(arguments: CalibrateArguments) -> tuple[Any, dict[Path, Controller]]:
+    """The StoredDetector that the calibration is added to, and --policy with that detector off, by its stand-in path.
+
+    What the detector has learned is copied to OUT if that is not there. Raises InputError as `make_policy` and
+    `make_detector` do, WeightsError for a detector's file that is damaged, or missing where it has to learn.
+    """
+    from models.files.container import write_bytes
+    from models.files.detectors import StoredDetector, load_detector
+
+    out, spec, label = arguments.out, arguments.policy, DETECTORS.label(arguments.detector)
+    assert spec is not None
+    path = out.parent / POLICIES.label(spec)
+    policy = Controller(path, spec=spec).load()
+    if label not in UNFITTED and not out.is_file():
+        learned = arguments.encoder.parent / out.name
+        load_detector(learned, label)  # it is one
+        write_bytes(out, learned.read_bytes())
+    stored = load_detector(out, label) if out.is_file() else StoredDetector(label)
+    criteria = make_detector(arguments.detector, policy, out.parent).GetOutputPort("errors").size()
+    return stored, {path: Controller(path, arguments.detector, never_fires(criteria), spec)}
 
 
 def select(
@@ -144,7 +206,7 @@ def select(
         for path in finalists:
             means = mean_errors(undisturbed[path])
             gamma = float(scores([run.before for run in undisturbed[path]], means).max())
-            controller = Controller(path, calibration=Calibration(tuple(means), BETA, gamma))
+            controller = replace(off[path], calibration=Calibration(tuple(means), BETA, gamma))
             disturbed = validation.run(controller, dict.fromkeys("AB", episodes), "task")
             tallies[path] |= {kind: tally(f"{path.name}, {kind}", runs) for kind, runs in disturbed.items()}
 

@@ -21,7 +21,7 @@ import tyro
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world
-from models.command_line import require_writable, run
+from models.command_line import require, require_writable, run
 from models.errors import InputError
 
 
@@ -47,6 +47,7 @@ class PickPlaceArguments(Scenario):
     video: Path | None = None  # .mp4 of a camera that sees the whole arm
     json: Path | None = None  # the outcome
     record: Path | None = None  # .npz of every tick, with pictures, for figures.py and analysis.py
+    mcap: Path | None = None  # .mcap of every tick, for Foxglove, Rerun and PlotJuggler
     meshcat: bool = False  # show the run live, on this machine only
     realtime_rate: float = 0.0  # 1: as fast as the real arm; 0: as fast as possible
     profile: bool = False  # print where a tick's time goes
@@ -77,30 +78,33 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.drawing import PLOT_FORMATS
     from diagrams.drawing.graph import FORMATS as GRAPH_FORMATS
     from diagrams.drawing.graph import save_graph
-    from diagrams.episodes.calibration import Controller, policy_file, require_named, stored_calibration
-    from diagrams.episodes.record import save_record
+    from diagrams.episodes.calibration import controller_of, require_named, stored_calibration
+    from diagrams.episodes.record import PICTURE_EVERY, save_record
     from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
     from diagrams.episodes.tick_table import tick_table
 
     formats = {
         cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
-        cli.json: (".json",), cli.record: (".npz",),
+        cli.json: (".json",), cli.record: (".npz",), cli.mcap: (".mcap",),
     }  # fmt: skip
     written = [path for path in formats if path is not None]
     for path in written:
         if path.suffix not in formats[path]:
             names = ", ".join(formats[path])
             raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
+    if cli.mcap is not None:
+        require("foxglove")
     episode = EpisodeSampler(cli.world).episode(cli)
-    controller = Controller(policy_file(cli.weights, cli.rnn), cli.detector)
+    controller = controller_of(cli.weights, cli.rnn, cli.detector, cli.policy)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
     rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, meshcat=meshcat, video=cli.video)
-    require_named(rollout.policy, cli.rnn, controller.policy)
+    if cli.policy is None:
+        require_named(rollout.policy, cli.rnn, controller.policy)
     calibration = stored_calibration(cli.detector, rollout.policy, cli.weights)
     for path in written:
         require_writable(path)
@@ -116,7 +120,7 @@ def main(cli: PickPlaceArguments) -> int:
             episode,
             on_event=lambda seconds, what: tqdm.write(f"{seconds:6.1f} s  {what}"),
             on_tick=lambda _: bar.update(),
-            pictures=cli.record is not None,
+            picture_every=1 if cli.mcap else PICTURE_EVERY if cli.record else 0,
             calibration=calibration,
         )
     word = "done" if outcome.success else f"failed ({outcome.failure})"
@@ -125,6 +129,10 @@ def main(cli: PickPlaceArguments) -> int:
         cli.json.write_text(json.dumps(outcome.to_dict(), indent=2) + "\n")
     if cli.record is not None:
         save_record(cli.record, record, outcome)
+    if cli.mcap is not None:
+        from diagrams.episodes.mcap_file import save_mcap
+
+        save_mcap(cli.mcap, record, outcome)
     meshcat.StopRecording()
     meshcat.PublishRecording()
     if rollout.video is not None:

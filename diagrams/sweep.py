@@ -20,10 +20,11 @@ from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
 from diagrams.sweeps.plan import SweepArguments, plan
-from diagrams.sweeps.task import HASHES, RECORD, Task, error_row, run_task
+from diagrams.sweeps.task import FILES, HASHES, Task, error_row, run_task
 from diagrams.world.scenario import load_world
 from models.command_line import require, run
 from models.errors import InputError
+from models.files.container import write_bytes
 
 ROWS = "rows.jsonl"  # in the folder --out
 
@@ -48,7 +49,8 @@ def main(arguments: SweepArguments) -> int:
     from tqdm import tqdm
 
     arguments.check()
-    require("pandas", "pyarrow", "scipy", *(["distributed"] if arguments.scheduler else []))
+    optional = {"distributed": arguments.scheduler, "foxglove": arguments.mcap}
+    require("pandas", "pyarrow", "scipy", *(name for name, needed in optional.items() if needed))
     world, out = load_world(arguments.world), arguments.out
     tasks, names = plan(arguments, world)
     if (out / "episodes.parquet").exists() and not (out / ROWS).exists():
@@ -68,9 +70,8 @@ def main(arguments: SweepArguments) -> int:
             pool, function = workers(arguments, names, len(missing))
             with pool, tqdm(total=len(tasks), initial=done, unit="episode", smoothing=0.1, disable=None) as bar:
                 for task, row in pool.run(function, missing, given_up=error_row):
-                    if (record := row.pop(RECORD, None)) is not None:
-                        (out / "records").mkdir(exist_ok=True)
-                        (out / "records" / f"{task.key}.npz").write_bytes(record)
+                    for folder in FILES.keys() & row.keys():
+                        write_bytes(out / folder / f"{task.key}{FILES[folder]}", row.pop(folder))
                     store.add(task.key, row)
                     bar.update()
                     if row["error"]:

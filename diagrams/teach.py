@@ -1,4 +1,4 @@
-"""Direct teaching, scripted: records the teacher's 200 demonstrations into one HDF5 file in robomimic's layout.
+"""Direct teaching, scripted: records the teacher's 200 demonstrations, as robomimic or LeRobot reads them.
 
     python diagrams/teach.py --out demonstrations.h5
 
@@ -12,13 +12,14 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import tyro
 
 from diagrams.episodes.compatibility import facts
 from diagrams.episodes.pool import Pool, kept_in_thread
 from diagrams.world.names import ARM_JOINTS
-from models.command_line import run
+from models.command_line import require, run
 from models.errors import InputError
 
 
@@ -26,7 +27,8 @@ from models.errors import InputError
 class TeachArguments:
     """Command line of teach.py."""
 
-    out: Path  # the HDF5 file; an unfinished one is completed
+    out: Path  # the HDF5 file, or LeRobot's folder; an unfinished one is completed
+    format: Literal["robomimic", "lerobot"] = "robomimic"  # lerobot: LeRobotDataset v3; what is trained here: robomimic
     world: Path | None = None  # YAML file of the world to teach in
     seed: int = 0  # samples how the cans are turned about their axes and how the arm is pushed off its path
     workers: int = os.cpu_count() or 1  # processes
@@ -52,7 +54,6 @@ def main(arguments: TeachArguments) -> int:
 
     from diagrams.world.scenario import load_world
     from diagrams.world.teacher import setups
-    from models.data.recording import RecordingFile
 
     for name, least in (("seed", 0), ("limit", 1)):
         value = getattr(arguments, name)
@@ -67,7 +68,8 @@ def main(arguments: TeachArguments) -> int:
         "world": json.dumps(facts(world)),
         "posture_names": json.dumps([f"joint_{j + 1}" for j in range(ARM_JOINTS)] + ["opening"]),
     }
-    with Pool(arguments.workers) as pool, RecordingFile(arguments.out, settings, attributes) as file:
+    opened = _layout(arguments.format)(arguments.out, settings, attributes)
+    with Pool(arguments.workers) as pool, opened as file:
         missing = [(world, setup) for setup in todo if setup.name not in file]
         done = len(todo) - len(missing)
         recordings = pool.run(demonstrate, missing)
@@ -78,6 +80,18 @@ def main(arguments: TeachArguments) -> int:
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def _layout(name: str) -> Any:
+    """The class that writes demonstrations in that layout."""
+    if name == "lerobot":
+        require("av", "pyarrow", "pandas")
+        from models.data.lerobot import LeRobotFolder
+
+        return LeRobotFolder
+    from models.data.recording import RecordingFile
+
+    return RecordingFile
 
 
 if __name__ == "__main__":

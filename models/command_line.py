@@ -14,6 +14,8 @@ from models.errors import InputError
 # Which extra of pyproject.toml brings a module.
 EXTRAS = {
     "train": ("h5py", "onnx", "onnxscript", "torch"),
+    "files": ("av", "foxglove"),
+    "gym": ("gymnasium",),
     "sweep": ("dask", "distributed", "pandas", "pyarrow", "scipy", "sklearn"),
     "analysis": ("cmaes", "optuna"),
 }

@@ -3,7 +3,9 @@
 One thread, batch 1, deterministic: the same bits from run to run and from process to process.
 """
 
+import hashlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -11,6 +13,8 @@ import onnxruntime
 from models.files.container import WeightsError
 from models.files.graphs import REMEDY, Graph, read_graph
 from models.files.policies import PolicyFacts, read_policy
+from models.policy import Policy as OwnPolicy
+from models.policy import make_policy
 
 LARGEST_SIZE = 100_000  # of what goes into a graph or comes out
 BATCH = 64  # pictures that are encoded at once
@@ -154,3 +158,50 @@ class Policy(PolicyFacts):
         found = self._session(x=np.asarray(x, np.float32)[None], state=np.asarray(state, np.float32)[None])
         y, after, recalled = (value[0].astype(float) for value in found)
         return y, after, recalled
+
+
+class RecalledPolicy:
+    """A policy of one's own (models/policy.py) with recall heads that were trained on its hidden state.
+
+    Attributes: the policy's own, but for `recalls`, `horizon` and `hash`, which speaks for both.
+    """
+
+    recalls = True
+
+    def __init__(self, policy: OwnPolicy, path: str | Path) -> None:
+        """Raises WeightsError unless `path` is a file of `training recall` for `policy`."""
+        graph = read_graph(path, "recall")
+        if (trained := graph.header.get("policy")) != policy.hash:
+            wrong = f"was trained on the states of another {policy.name}, {str(trained)[:12]}, not {policy.hash[:12]}"
+            raise WeightsError(path, wrong, "Train heads again: `python -m models.training recall --policy ...`")
+        recalled: dict[str, Port] = {"recalled": (np.float32, (0, policy.posture_size))}
+        self._session = _Session(path, graph, {"state": (np.float32, (policy.state_size,))}, recalled)
+        self._policy, (self.horizon, _) = policy, self._session.shapes["recalled"]
+        self.hash = hashlib.sha256(f"{policy.hash} {graph.hash}".encode()).hexdigest()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # asked for before there is a policy, by copy and pickle
+            raise AttributeError(name)
+        return getattr(self._policy, name)
+
+    def step(
+        self, x: np.ndarray, state: np.ndarray, picture: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As Policy.step."""
+        y, after, _ = self._policy.step(x, state, picture)
+        return y, after, self._session(state=np.asarray(after, np.float32)[None])[0][0].astype(float)
+
+
+def own_policy(spec: str, folder: Path) -> OwnPolicy | RecalledPolicy:
+    """The policy that `spec` names (package.module:Class), with the heads `recall_file` in `folder` if they are there.
+
+    Raises InputError as `make_policy` does, WeightsError for heads that are not for it.
+    """
+    policy = make_policy(spec)
+    path = recall_file(folder, policy.name)
+    return RecalledPolicy(policy, path) if path.is_file() else policy
+
+
+def recall_file(folder: Path, name: str) -> Path:
+    """Where the recall heads of the policy of one's own with that name lie."""
+    return folder / f"{name}-recall.onnx"

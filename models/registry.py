@@ -1,4 +1,4 @@
-"""Registries: the one list of the networks, and the one of the detectors, by name; open to other packages."""
+"""Registries: the one list of the networks, of the detectors, of the policies, by name; open to other packages."""
 
 import importlib
 from collections.abc import Iterator
@@ -14,13 +14,15 @@ T = TypeVar("T")
 class Registry(Generic[T]):
     """Classes with an attribute `name`, found by that name, by an entry point, or by `package.module:Class`.
 
-    A package adds its own under the entry point group `hindsight.<what>s`; `package.module:Class` names one without
-    installing it. Nothing is imported before it is asked for.
+    A package adds its own under the entry point group `hindsight.networks`, `hindsight.detectors` or
+    `hindsight.policies`; `package.module:Class` names one without installing it. Nothing is imported before it is
+    asked for.
     """
 
     def __init__(self, what: str, entries: dict[str, str]):
-        """`what`: "network" or "detector", for messages and the group; `entries`: ours, by name."""
+        """`what`: "network", "detector" or "policy", for messages and the group; `entries`: ours, by name."""
         self.what, self._entries = what, entries
+        self.group = f"hindsight.{what}s".replace("ys", "ies")
 
     def __iter__(self) -> Iterator[str]:
         """The names that can be chosen: ours first, then those of entry points."""
@@ -58,4 +60,4 @@ class Registry(Generic[T]):
         return spec if spec in self._specs() else self[spec].name  # type: ignore[attr-defined]
 
     def _specs(self) -> dict[str, str]:
-        return self._entries | {point.name: point.value for point in entry_points(group=f"hindsight.{self.what}s")}
+        return self._entries | {point.name: point.value for point in entry_points(group=self.group)}

@@ -46,7 +46,7 @@ def alpha_of(errors: np.ndarray, beta, gamma):
 def _input_sizes(policy) -> dict[str, int]:
     horizon = require_count("policy.horizon", policy.horizon)
     size = require_count("policy.posture_size", policy.posture_size)
-    state_size = require_count("policy.state_size", policy.state_size)
+    state_size = require_count("policy.state_size", policy.state_size, 0)
     return dict(
         posture_history=(horizon + 2) * size, recalled_postures=(horizon + 1) * size, hidden_state=state_size
     )  # fmt: skip

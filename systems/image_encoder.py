@@ -1,6 +1,7 @@
 """The camera image as a few features: the encoder half of the autoencoder (Sec. III-A, Table I) as a system."""
 
 import cv2
+import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from pydrake.systems.sensors import ImageRgba8U
@@ -54,7 +55,12 @@ class ImageEncoder(LeafSystem):
                 f"rgb_image is {image.width()} x {image.height()} pixels, the encoder was built for {self._width} x "
                 f"{self._height}: pass the camera's size as width and height."
             )
-        rgb = cv2.cvtColor(image.data, cv2.COLOR_RGBA2RGB)  # a tenth of the time of numpy's slice and copy
-        if self._width != ENCODED:
-            rgb = cv2.resize(rgb, (ENCODED, ENCODED), interpolation=cv2.INTER_AREA)
-        output.SetFromVector(self._encoder.encode(rgb))
+        output.SetFromVector(self._encoder.encode(encoded_picture(image)))
+
+
+def encoded_picture(image: ImageRgba8U) -> np.ndarray:
+    """The picture (112, 112, 3) uint8 that the encoder takes of a square `image`, which is at least as large."""
+    rgb = cv2.cvtColor(image.data, cv2.COLOR_RGBA2RGB)  # a tenth of the time of numpy's slice and copy
+    if rgb.shape[:2] != (ENCODED, ENCODED):
+        rgb = cv2.resize(rgb, (ENCODED, ENCODED), interpolation=cv2.INTER_AREA)
+    return rgb

@@ -64,7 +64,15 @@ def RecallDetector_(T):
 
         @staticmethod
         def build(policy, joints, arrays):
-            """Returns the detector for `policy`; nothing was fitted, `arrays` is empty."""
+            """Returns the detector for `policy`; nothing was fitted, `arrays` is empty.
+
+            Raises ValueError for a policy that recalls nothing.
+            """
+            if not getattr(policy, "recalls", True):
+                raise ValueError(
+                    f"{policy.name} recalls nothing: train recall heads on its states, or choose a detector that needs "
+                    "none."
+                )
             return RecallDetector(policy, joints)
 
         def calc_errors(self, context, mean_errors):

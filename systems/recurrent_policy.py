@@ -1,9 +1,12 @@
 """The recurrent network with its recall heads as a discrete-time system (Secs. III-B and III-C)."""
 
 import numpy as np
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.sensors import ImageRgba8U
 
 from systems.arguments import require_count, require_positive, require_vector
+from systems.image_encoder import encoded_picture
 
 
 class RecurrentPolicy(LeafSystem):
@@ -12,7 +15,7 @@ class RecurrentPolicy(LeafSystem):
     .. pydrake_system::
 
         name: RecurrentPolicy
-        input_ports: [network_input, reset]
+        input_ports: [network_input, reset]  # and rgb_image, for a policy that looks at the picture itself
         output_ports: [predicted_posture, predicted_features, recalled_postures, hidden_state]
 
     Inputs:
@@ -20,11 +23,13 @@ class RecurrentPolicy(LeafSystem):
         reset: (1,) above 1/2: the update does not step the network but takes c_0, and predicts the initial posture;
             what is recalled moves on by a row, as in a network that rests there. So all that was recalled before is
             gone after N + 1 such ticks, not at once. Left unconnected, there is no reset.
+        rgb_image: ImageRgba8U, square, at least 112 pixels wide; read at the ticks only.
     Outputs (of the state alone, none has direct feedthrough; after the update of tick k):
         predicted_posture: (M,) m^R_{k+1}, scaled, clipped to [-1, 1].
         predicted_features: (F,) f^R_{k+1}, clipped to [-1, 1].
         recalled_postures: ((N + 1) M,) scaled, row by row: row 0 is m^R_{k+1}, predicted, row n is m^R_{k-n},
-            recalled from c_k. What the detector reads at tick k + 1.
+            recalled from c_k. What the detector reads at tick k + 1. Of a policy that recalls nothing, row n is what
+            it predicted for tick k + 1 - n.
         hidden_state: (S,) c_k, dimensionless.
 
     Before the first tick: c_0; the initial posture, where the arm rests, as prediction and as all that is recalled;
@@ -36,14 +41,15 @@ class RecurrentPolicy(LeafSystem):
         Args:
             policy: any object with `posture_size` M, `feature_size` F, `state_size` S, `horizon` N, `initial_state`
                 (S,), `initial_posture` (M,) physical, `scaling.scale` and `step(x, state) -> (y, state, recalled)`;
-                see models/inference.py.
+                see models/inference.py and models/policy.py. S may be 0; `looks`, if it is there and true: `step`
+                takes the picture too; `recalls`, if it is there and false: `step` recalls None.
             period: of the ticks, s.
         """
         super().__init__()
         self._policy = policy
         self._posture_size = require_count("policy.posture_size", policy.posture_size)
         self._feature_size = require_count("policy.feature_size", policy.feature_size)
-        state_size = require_count("policy.state_size", policy.state_size)
+        state_size = require_count("policy.state_size", policy.state_size, 0)
         self._horizon = require_count("policy.horizon", policy.horizon)
         initial_state = require_vector("policy.initial_state", policy.initial_state, state_size)
         initial_posture = require_vector("policy.initial_posture", policy.initial_posture, self._posture_size)
@@ -51,6 +57,10 @@ class RecurrentPolicy(LeafSystem):
 
         self._network_input = self.DeclareVectorInputPort("network_input", self._posture_size + self._feature_size)
         self._reset = self.DeclareVectorInputPort("reset", 1)
+        self._image = None
+        if getattr(policy, "looks", False):
+            any_size = AbstractValue.Make(ImageRgba8U(1, 1))
+            self._image = self.DeclareAbstractInputPort("rgb_image", any_size)
         self._initial = np.zeros(self._feature_size), posture, initial_state
         self._predicted_features = self.DeclareDiscreteState(self._initial[0])
         self._recalled = self.DeclareDiscreteState(np.tile(posture, self._horizon + 1))
@@ -83,7 +93,11 @@ class RecurrentPolicy(LeafSystem):
             discrete_state.set_value(self._hidden, hidden)
             return
         x = self._network_input.Eval(context)
-        y, hidden, recalled = self._policy.step(x, context.get_discrete_state(self._hidden).value().copy())
+        picture = () if self._image is None else (encoded_picture(self._image.Eval(context)),)
+        y, hidden, recalled = self._policy.step(x, context.get_discrete_state(self._hidden).value().copy(), *picture)
+        if recalled is None and not getattr(self._policy, "recalls", True):
+            before = context.get_discrete_state(self._recalled).value()
+            recalled = before[: -self._posture_size].reshape(self._horizon, self._posture_size)
         if np.shape(recalled) != (self._horizon, self._posture_size):
             raise ValueError(
                 f"policy.step recalled shape {np.shape(recalled)}; its horizon and posture_size ask for "

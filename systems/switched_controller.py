@@ -155,6 +155,8 @@ class SwitchedController(Diagram):
         }
 
         builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
+        if network.HasInputPort("rgb_image"):
+            builder.ConnectInput("rgb_image", network.GetInputPort("rgb_image"))
         builder.ExportInput(scale.get_input_port(), "posture")
         # The updates of tick k need the posture of tick k; the command, the one that was sampled then.
         builder.Connect(scale.get_output_port(), closer.GetInputPort("posture"))

@@ -12,6 +12,7 @@ from pydrake.systems.framework import System
 from diagrams.world.names import ARM_JOINTS, DECODER, ENCODER
 from models.errors import InputError
 from models.networks import network_label
+from models.policy import POLICIES
 from systems.detector import NEVER
 from systems.detectors import DETECTORS
 
@@ -35,11 +36,31 @@ def never_fires(criteria: int) -> Calibration:
 
 @dataclass(frozen=True)
 class Controller:
-    """A policy file, a detector of DETECTORS (what it learned lies beside it), a calibration instead of the files'."""
+    """A policy file, a detector of DETECTORS (what it learned lies beside it), a calibration instead of the files'.
+
+    With `spec`, package.module:Class, that policy instead of the file, by which then its name and folder are given.
+    """
 
     policy: Path
     detector: str = "recall"
     calibration: Calibration | None = None
+    spec: str | None = None
+
+    def load(self):
+        """The policy, see models/inference.py; raises WeightsError, or InputError as `own_policy` does."""
+        from models.inference import Policy, own_policy
+
+        return Policy(self.policy) if self.spec is None else own_policy(self.spec, self.policy.parent)
+
+
+def controller_of(folder: Path, rnn: str, detector: str, own: str | None = None, training_seed: int = 0) -> Controller:
+    """The network in `folder` that `rnn` names, or the policy `own` (package.module:Class), under that detector.
+
+    Raises InputError where there is none.
+    """
+    if own is not None:
+        return Controller(folder / POLICIES.label(own), detector, spec=own)
+    return Controller(policy_file(folder, rnn, training_seed), detector)
 
 
 def policy_name(label: str, training_seed: int = 0) -> str:
@@ -81,14 +102,17 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     """
     from models.files.detectors import calibration_of, load_detector
 
-    if DETECTORS.label(detector) == RECALL:
+    own = getattr(policy, "calibrated_beside", False)
+    if DETECTORS.label(detector) == RECALL and not own:
         means, gamma = policy.mean_errors, policy.gamma if gamma is None else gamma
         if means is None or policy.beta is None or gamma is None:
             raise InputError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
         return Calibration(tuple(means), policy.beta, gamma)
-    if DETECTORS.label(detector) in UNFITTED:
+    if DETECTORS.label(detector) == "never":
         return never_fires(1)
     path = detector_file(folder, detector)
+    if own and not path.is_file():
+        raise InputError(f"there is no calibration of '{detector}' for {policy.name} in {folder}: run calibrate.py")
     found = calibration_of(path, load_detector(path, DETECTORS.label(detector)), policy.hash)
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
 
@@ -99,8 +123,14 @@ def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
 
     path = detector_file(folder, detector)
     found = load_detector(path, DETECTORS.label(detector))
-    total = hashlib.sha256(json.dumps(calibration_of(path, found, policy_hash), sort_keys=True).encode())
-    for _, array in sorted(found.arrays.items()):
+    calibration = json.dumps(calibration_of(path, found, policy_hash), sort_keys=True).encode()
+    return arrays_hash(found.arrays, calibration)
+
+
+def arrays_hash(arrays: dict[str, np.ndarray], before: bytes = b"") -> str:
+    """SHA-256 of `before` and of what a detector learned."""
+    total = hashlib.sha256(before)
+    for _, array in sorted(arrays.items()):
         total.update(np.ascontiguousarray(array).tobytes())
     return total.hexdigest()
 

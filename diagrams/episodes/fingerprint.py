@@ -11,8 +11,8 @@ from models.command_line import ROOT
 
 # What an episode's outcome depends on: the definitions of success among it.
 ROOMS: tuple[str, ...] = (
-    "sdf", "systems", "diagrams/world", "models/inference.py", "models/files", "models/data/scaling.py",
-    "models/data/windows.py", *(f"diagrams/episodes/{name}.py" for name in (
+    "sdf", "systems", "diagrams/world", "models/inference.py", "models/policy.py", "models/files",
+    "models/data/scaling.py", "models/data/windows.py", *(f"diagrams/episodes/{name}.py" for name in (
         "branching", "calibration", "episode", "outcome", "prefix", "record", "rollout", "runner", "sampling", "space",
         "switching", "way_home",
     )),

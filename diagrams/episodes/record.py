@@ -13,7 +13,7 @@ import numpy as np
 from diagrams.episodes.episode import Outcome
 from models.errors import InputError
 
-PICTURE_EVERY = 5  # ticks between two pictures that are kept
+PICTURE_EVERY = 5  # ticks between two pictures in a record's file
 _REMEDY = "write one with `pick_place.py --record FILE.npz`"
 
 
@@ -59,7 +59,10 @@ def stretches(record: Record) -> tuple[slice, slice]:
 
 
 def record_bytes(record: Record, outcome: Outcome) -> bytes:
-    """The content of a record file (.npz)."""
+    """The content of a record file (.npz); of pictures that were taken more often, those every PICTURE_EVERY ticks."""
+    kept = record.picture_ticks % PICTURE_EVERY == 0
+    if not kept.all():
+        record = dataclasses.replace(record, picture_ticks=record.picture_ticks[kept], pictures=record.pictures[kept])
     text, file = json.dumps({"events": record.events, "outcome": outcome.to_dict()}), io.BytesIO()
     np.savez_compressed(file, text=np.array(text), **{name: getattr(record, name) for name in ARRAYS})
     return file.getvalue()

@@ -15,7 +15,7 @@ from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.narrator import Narrator
 from diagrams.episodes.outcome import make_outcome
 from diagrams.episodes.prefix import BRANCH_LEVELS, Prefix
-from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
+from diagrams.episodes.record import ARRAYS, Record
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
@@ -180,7 +180,7 @@ class Rollout:
         on_event: Callable[[float, str], None] | None = None,
         on_tick: Callable[[int], None] | None = None,
         until: Until = "task",
-        pictures: bool = False,
+        picture_every: int = 0,
         time_limit: float = TIME_LIMIT,
         calibration: Calibration | None = None,
         start: Prefix | None = None,
@@ -190,7 +190,7 @@ class Rollout:
 
         Args:
             on_event: is told (s, what happened); on_tick: is told the number of ticks so far.
-            pictures: keep what the camera sees every PICTURE_EVERY ticks.
+            picture_every: ticks between two pictures of the camera that are kept; 0: none are.
             time_limit: s, plus the time disturbed.
             calibration: see `prepare`.
             start: what the run begins with instead of tick 0: of the same scene, network and calibration.
@@ -239,7 +239,7 @@ class Rollout:
             homing = alpha >= GUARD and not active
             for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans)):
                 rows[name].append(value)
-            if pictures and k % PICTURE_EVERY == 0:
+            if picture_every and k % picture_every == 0:
                 port, context = ports["rgb_image"]
                 rows["picture_ticks"].append(k)
                 rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())

@@ -25,7 +25,7 @@ class Job:
     kind: str = "none"
     episode: Episode | None = None
     until: Until = "task"  # what the run ends with
-    pictures: bool = False
+    picture_every: int = 0  # see Rollout.run
 
 
 def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
@@ -34,9 +34,16 @@ def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
     Raises InputError as `make_detector` and `Rollout` do, WeightsError for a file that is missing or damaged.
     """
     from diagrams.episodes.rollout import Rollout
-    from models.inference import Encoder, Policy
+    from models.inference import Encoder
+    from models.policy import NoFeatures
 
-    images, policy = kept_in_thread(("encoder", encoder), lambda: Encoder(encoder)), Policy(controller.policy)
+    policy = controller.load()
+    if hasattr(policy, "encode"):
+        images = policy
+    elif getattr(policy, "looks", False):
+        images = NoFeatures()
+    else:
+        images = kept_in_thread(("encoder", encoder), lambda: Encoder(encoder))
     detector = make_detector(controller.detector, policy, controller.policy.parent)
     return Rollout(world, images, policy, detector, **shown)
 
@@ -44,7 +51,7 @@ def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
 def run_episode(job: Job) -> tuple[Outcome, Record]:
     """Runs the episode of `job`; raises InputError as `make_detector`, `EpisodeSampler` and `Rollout` do."""
     rollout, episode, calibration = _prepared(job)
-    return rollout.run(episode, until=job.until, pictures=job.pictures, calibration=calibration)
+    return rollout.run(episode, until=job.until, picture_every=job.picture_every, calibration=calibration)
 
 
 def run_branched(job: Job) -> tuple[Outcome, Record, int]:
@@ -62,7 +69,7 @@ def _prepared(job: Job):
     from diagrams.episodes.sampling import EpisodeSampler
 
     controller, world = job.controller, repr(job.world)
-    parts = ("rollout", world, job.encoder, controller.policy, controller.detector)
+    parts = ("rollout", world, job.encoder, controller.policy, controller.detector, controller.spec)
     rollout = kept_in_thread(parts, lambda: build_rollout(job.world, job.encoder, controller), KEPT)
     episode = job.episode
     if episode is None:

@@ -15,7 +15,6 @@ from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, LIMIT_MARGIN, MOVE
 from diagrams.world.scenario import Scenario
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, subtask_commands
 from models.errors import InputError
-from models.networks import network_label
 from systems.detectors import DETECTORS
 
 XY = tuple[float, float]  # m, world
@@ -111,7 +110,7 @@ class EpisodeSampler:
 
         Raises InputError as `sample` does.
         """
-        given, rnn, detector = scenario.disturbance, network_label(scenario.rnn), DETECTORS.label(scenario.detector)
+        given, rnn, detector = scenario.disturbance, scenario.label, DETECTORS.label(scenario.detector)
         kind = given.kind if given.level is None else "none"
         episode = self.sample(scenario.seed, kind, scenario.can, scenario.vacant, rnn, detector)
         if given.level is None or given.kind == "none":

@@ -49,7 +49,7 @@ class Validation:
             for kind, count in counts.items()
             for seed in seeds[:count]
         ]
-        known = file_hash(controller.policy) if self.store else "", repr(controller.calibration)
+        known = _hash_of(controller) if self.store else "", repr(controller.calibration)
         which = f"{controller.detector}-{hashlib.sha256(repr(known).encode()).hexdigest()[:16]}"
 
         def key(job: Job) -> str:
@@ -65,6 +65,11 @@ class Validation:
                 found[job.kind, job.seed] = run
                 bar.update()
         return {kind: [found[kind, seed] for seed in seeds[:count]] for kind, count in counts.items()}
+
+
+def _hash_of(controller: Controller) -> str:
+    """Of the policy; without loading a file."""
+    return file_hash(controller.policy) if controller.spec is None else controller.load().hash
 
 
 def run_validation(job: Job) -> ValidationRun:

@@ -17,7 +17,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from diagrams.episodes.record import Record, find_records, load_record, save_record
+from diagrams.episodes.record import PICTURE_EVERY, Record, find_records, load_record, save_record
 from diagrams.episodes.switching import GUARD
 from diagrams.hybrid.common import NetworkArguments
 from diagrams.world.names import ARM_JOINTS
@@ -61,7 +61,7 @@ class Modes(NetworkArguments):
 
         rollout, episode = self.closed_loop(self.disturbance)
         with tqdm(desc="run", unit="tick", leave=False, disable=None) as bar:
-            outcome, record = rollout.run(episode, on_tick=lambda _: bar.update(), pictures=True)
+            outcome, record = rollout.run(episode, on_tick=lambda _: bar.update(), picture_every=PICTURE_EVERY)
         path = self.out / f"run-{rollout.policy.name}-{self.disturbance}-{self.seed}.npz"
         save_record(path, record, outcome)
         return path

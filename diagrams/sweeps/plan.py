@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from diagrams.episodes.calibration import UNFITTED
 from diagrams.episodes.pool import MOST_WORKERS
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
 from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
-from diagrams.sweeps.task import Task
+from diagrams.sweeps.task import FILES, Task
 from diagrams.world.configuration import World
 from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
 from models.errors import InputError
 from models.networks import network_label
+from models.policy import POLICIES
 from systems.detectors import DETECTORS
 from systems.disturbance import KINDS
 
@@ -30,6 +30,7 @@ class SweepArguments:
     purpose: Literal["evaluation", "validation"] = "evaluation"  # whose scenes: remedies are chosen on validation
     way_home: Literal["any", "blocked"] = "any"  # blocked: only scenes whose straight way home touches something
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn, or package.module:Class
+    policy: list[str] = field(default_factory=list)  # package.module:Class of one's own, instead of networks
     detector: list[str] = field(default_factory=lambda: ["recall"])  # as in the registry, or package.module:Class
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B; moved: the can alone
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
@@ -41,6 +42,7 @@ class SweepArguments:
     weights: Path = WEIGHTS  # folder of the trained networks
     out: Path = Path("outputs/sweep")  # folder of rows.jsonl, episodes.parquet and summary.json
     keep_records: bool = False  # keep the record of each episode that is run in OUT/records
+    mcap: bool = False  # write each episode that is run as an MCAP file to OUT/mcap
     retry_errors: bool = False  # run episodes that raised an error once more
 
     def check(self) -> None:
@@ -62,8 +64,9 @@ class SweepArguments:
         for gamma in self.gamma:
             if not 0.0 < gamma < math.inf:
                 raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
-        if self.keep_records and self.until != "task":
-            raise InputError("--keep-records keeps whole episodes, which --until switching cuts short: leave one out")
+        for option, given in (("--keep-records", self.keep_records), ("--mcap", self.mcap)):
+            if given and self.until != "task":
+                raise InputError(f"{option} keeps whole episodes, which --until switching cuts short: leave one out")
 
 
 def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]]:
@@ -72,39 +75,56 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     Raises InputError for an unknown network or detector, InputError or WeightsError for a file that is missing,
     damaged, or does not fit the others or the world.
     """
-    from diagrams.episodes.calibration import learned_hash, policy_file, require_named, stored_calibration
+    from diagrams.episodes.calibration import (
+        RECALL,
+        UNFITTED,
+        controller_of,
+        detector_file,
+        learned_hash,
+        require_named,
+        stored_calibration,
+    )
     from diagrams.episodes.compatibility import require_trained_for
     from models.files.container import WeightsError
-    from models.inference import Encoder, Policy
+    from models.inference import Encoder, recall_file
 
     folder = arguments.weights
     detectors = _by_label(DETECTORS.label, arguments.detector)
     if arguments.gamma and "never" in detectors:
         raise InputError("--gamma says nothing to the detector 'never': leave one of the two out")
-    names = {ENCODER} | {f"{label}.safetensors" for label in detectors if label not in UNFITTED}
+    names = {ENCODER}
     encoder_hash = Encoder(folder / ENCODER).hash
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
     controllers, hashes = [], dict[str, str]()
-    for rnn, training_seed in itertools.product(
-        _by_label(network_label, arguments.rnn), _unique(arguments.training_seeds)
-    ):
-        path = policy_file(folder, rnn, training_seed)
-        name = path.name
-        names.add(name)
-        policy = Policy(path)
-        require_named(policy, rnn, path)
+    networks = _by_label(network_label, [] if arguments.policy else arguments.rnn)
+    asked_for: list[tuple[str, int, str | None]] = [
+        *((rnn, seed, None) for rnn, seed in itertools.product(networks, _unique(arguments.training_seeds))),
+        *((label, 0, spec) for label, spec in _by_label(POLICIES.label, arguments.policy).items()),
+    ]
+    for rnn, training_seed, spec in asked_for:
+        controller = controller_of(folder, rnn, RECALL, spec, training_seed)
+        path = controller.policy
+        name, policy = path.name, controller.load()
+        if spec is None:
+            names.add(name)
+            require_named(policy, rnn, path)
+        elif recall_file(folder, rnn).is_file():
+            names.add(recall_file(folder, rnn).name)
         if policy.hash in hashes:
             raise WeightsError(folder / name, f"is the same file as {hashes[policy.hash]}", "Give each seed its own")
         hashes[policy.hash] = name
-        if policy.encoder_hash != encoder_hash:
+        if policy.encoder_hash not in ({encoder_hash} if spec is None else {encoder_hash, None}):
             raise WeightsError(folder / name, f"was trained with another encoder than {ENCODER}", "Give that one")
         require_trained_for(world, policy)
         for detector, gamma in itertools.product(detectors.values(), gammas):
             own = stored_calibration(detector, policy, folder, gamma)
-            fitted = DETECTORS.label(detector) not in UNFITTED
+            label = DETECTORS.label(detector)
+            fitted = label not in UNFITTED or (spec is not None and label == RECALL)
+            if fitted:
+                names.add(detector_file(folder, detector).name)
             learned = learned_hash(folder, detector, policy.hash) if fitted else None
             calibration = None if gamma is None else own
-            controllers.append((rnn, training_seed, detector, gamma, policy.hash, learned, calibration))
+            controllers.append((rnn, training_seed, detector, gamma, policy.hash, learned, calibration, spec))
     kinds, asked = _unique(arguments.disturbance), (arguments.purpose, arguments.seed, arguments.episodes)
     blocked = arguments.way_home == "blocked"  # a search of minutes: last
     if blocked:
@@ -113,12 +133,13 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
         kind: blocked_seeds(world, *asked, kind, arguments.workers) if blocked else episode_seeds(*asked)
         for kind in kinds
     }
+    files = tuple(name for name in FILES if (arguments.keep_records if name == "records" else arguments.mcap))
     tasks = [
         Task(
             world, rnn, training_seed, detector, gamma, kind, seed, policy_hash, encoder_hash, learned, calibration,
-            arguments.until, arguments.keep_records,
+            arguments.until, files, spec,
         )
-        for rnn, training_seed, detector, gamma, policy_hash, learned, calibration in controllers
+        for rnn, training_seed, detector, gamma, policy_hash, learned, calibration, spec in controllers
         for kind in kinds
         for seed in seeds[kind]
     ]  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from diagrams.episodes.calibration import Calibration, Controller, policy_name
 from diagrams.episodes.fingerprint import code_hash
-from diagrams.episodes.record import record_bytes, stretches
+from diagrams.episodes.record import PICTURE_EVERY, record_bytes, stretches
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
@@ -19,7 +19,8 @@ from models.errors import InputError
 from systems.detectors import DETECTORS
 
 HASHES = ("weights_hash", "encoder_hash", "detector_hash")
-RECORD = "record"  # entry of a row that is no column of the table: the content of a file of diagrams/episodes/record.py
+# Entries of a row that are no column of the table: by the folder in --out, the content of a file there, and its suffix.
+FILES = {"records": ".npz", "mcap": ".mcap"}
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Task:
     detector_hash: str | None  # of what a detector learned and its calibration for this policy
     calibration: Calibration | None = None  # what gamma makes of the one in the files
     until: Until = "task"
-    keep_record: bool = False  # send the record along, see RECORD
+    files: tuple[str, ...] = ()  # sent along, of FILES
+    policy: str | None = None  # package.module:Class, whose name `rnn` is then
     code: str = dataclasses.field(default_factory=code_hash)  # that the sweep was started with
 
     @property
@@ -63,12 +65,17 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
                 f"this worker has another version of the program ({code_hash()}, the sweep {task.code}): "
                 "update it, then --retry-errors"
             )
-        controller = Controller(folder / policy_name(task.rnn, task.training_seed), task.detector, task.calibration)
-        until, pictures = task.until, task.keep_record
-        job = Job(task.world, folder / ENCODER, controller, task.seed, task.disturbance, until=until, pictures=pictures)
+        path = folder / policy_name(task.rnn, task.training_seed)
+        controller = Controller(path, task.detector, task.calibration, task.policy)
+        until, every = task.until, 1 if "mcap" in task.files else PICTURE_EVERY if task.files else 0
+        job = Job(
+            task.world, folder / ENCODER, controller, task.seed, task.disturbance, until=until, picture_every=every
+        )
         outcome, record = run_episode(job)
         if outcome.weights_hash != task.weights_hash:
-            raise InputError(f"{controller.policy} was changed under the sweep: put it back, then --retry-errors")
+            raise InputError(
+                f"{task.policy or controller.policy} was changed under the sweep: put it back, then --retry-errors"
+            )
         before, after = stretches(record)
         row = {
             **outcome.to_dict(),
@@ -78,8 +85,12 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
             "error": None,
             "traceback": None,
         }
-        if task.keep_record:
-            row[RECORD] = record_bytes(record, outcome)
+        if "records" in task.files:
+            row["records"] = record_bytes(record, outcome)
+        if "mcap" in task.files:
+            from diagrams.episodes.mcap_file import mcap_bytes
+
+            row["mcap"] = mcap_bytes(record, outcome)
     except (Exception, SystemExit) as error:  # Drake calls exit for some of its errors
         return error_row(task, error)
     return row

@@ -9,6 +9,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import SPOTS
 from models.errors import InputError
 from models.networks import network_label
+from models.policy import POLICIES, make_policy
 from systems.detectors import DETECTORS
 
 
@@ -23,10 +24,18 @@ class Scenario:
     vacant: str | None = None  # left or right; sampled where not given
     disturbance: DisturbanceSpec = field(default_factory=lambda: DisturbanceSpec(kind="A"))
     world: World = field(default_factory=World)
+    policy: str | None = None  # package.module:Class of one's own (models/policy.py), instead of rnn
+
+    @property
+    def label(self) -> str:
+        """The short name of the network, or of the policy."""
+        return network_label(self.rnn) if self.policy is None else POLICIES.label(self.policy)
 
     def check(self) -> None:
         """Raises InputError for a value outside its choices."""
         network_label(self.rnn)
+        if self.policy is not None:
+            make_policy(self.policy)
         DETECTORS.check(self.detector)
         if self.vacant not in (*SPOTS, None):
             raise InputError(f"there is no vacant spot '{self.vacant}': choose one of {', '.join(SPOTS)}")

@@ -1,7 +1,7 @@
 """Subtask sequences as padded tensors, batches of them, and the run of a network over a batch."""
 
 from dataclasses import dataclass, fields
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -11,7 +11,6 @@ from models.data.augmentation import Augmentation, augment
 from models.data.demonstrations import Demonstration, subtask_ranges
 from models.data.scaling import MinMaxScaling
 from models.errors import InputError
-from models.networks.rnn import RecurrentNetwork
 
 
 @dataclass
@@ -99,8 +98,8 @@ def make_batch(pack: SequencePack, joints: int, options: Augmentation | None, ge
     return Batch(x, closed[..., None], pack.target.transpose(0, 1), clean, valid, length - 1, carry)
 
 
-def run(rnn: RecurrentNetwork, batch: Batch, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Runs the network over a batch from state (B, S), on one device: y (T, B, 38) and states (T, B, S)."""
+def run(rnn: Any, batch: Batch, state: Tensor) -> tuple[Tensor, Tensor]:
+    """Runs a RecurrentNetwork, or its like, over a batch from state (B, S): y (T, B, 38) and states (T, B, S)."""
     ticks = int(batch.last.max()) + 1
     return rnn(batch.x[:ticks], batch.closed[:ticks], state)
 

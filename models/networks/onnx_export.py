@@ -83,6 +83,12 @@ def policy_graph(rnn: RecurrentNetwork, recall: RecallHeads | None) -> bytes:
     return halved(model).SerializeToString(deterministic=True)
 
 
+def heads_graph(heads: RecallHeads, state_size: int) -> bytes:
+    """Recall heads alone: `state` (1, S) to `recalled` (1, N, M); matrices in float16, computed in float32."""
+    model = _export(copy.deepcopy(heads), {"state": torch.zeros(1, state_size)}, ["recalled"])
+    return halved(model).SerializeToString(deterministic=True)
+
+
 def encoder_graph(model: ConvolutionalAutoencoder) -> onnx.ModelProto:
     """The encoder in float32: `picture`, uint8 (B, 112, 112, 3), to `features` (B, 30)."""
     picture = torch.zeros(2, IMAGE_SIZE, IMAGE_SIZE, 3, dtype=torch.uint8)

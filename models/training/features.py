@@ -2,17 +2,19 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from models.data.demonstrations import content_of, iterate_frames, read_demonstrations
 from models.errors import InputError
-from models.inference import Encoder
 
 
-def encode_dataset(path: Path, encoder: Encoder, cache: Path) -> dict[str, np.ndarray]:
+def encode_dataset(path: Path, encoder: Any, cache: Path) -> dict[str, np.ndarray]:
     """Features (T, 30) of every demonstration by name; from `cache` if it was made of these data by this encoder.
+
+    `encoder`: see models/inference.py: `hash` and `encode_batch`.
 
     Raises InputError if `cache` is a file of another kind, or a damaged one: it is not overwritten.
     """

@@ -8,14 +8,16 @@ import torch
 from torch import Tensor
 
 from models.data.augmentation import Augmentation
-from models.data.demonstrations import content_of, read_demonstrations
+from models.data.demonstrations import Demonstration, content_of, read_demonstrations
 from models.data.sequences import SequencePack, make_batch, run
 from models.errors import InputError
 from models.files.container import WeightsError, file_hash
 from models.files.weights import StoredPolicy, load_policy, save_policy
-from models.inference import Encoder
+from models.inference import Encoder, recall_file
 from models.networks.recall import RecallHeads
+from models.policy import make_policy
 from models.training.checkpoint import refuse_other
+from models.training.own import OwnEncoder, OwnStates
 from models.training.rnn import JOINTS, SequenceTraining, prepare_sequences
 from models.training.trainer import TrainingOptions, fit, prepare
 
@@ -27,7 +29,8 @@ class RecallOptions(TrainingOptions):
     """Trains recall heads for each given candidate; writes policy-STEP.onnx, network and heads in one file.
 
     Args:
-        policy: candidate files of `training rnn`, one or more.
+        policy: candidate files of `training rnn`, one or more; or package.module:Class of a policy of one's own with a
+            hidden state (models/policy.py), whose heads are written to NAME-recall.onnx.
         encoder: the file that the candidates were trained with.
         features: file in which `training rnn` kept the features; DIR/features.npz if not given.
         horizon: N, ticks recalled.
@@ -40,7 +43,7 @@ class RecallOptions(TrainingOptions):
         augmentation: of the inputs, as in the network's training.
     """
 
-    policy: tuple[Path, ...]
+    policy: tuple[str, ...]
     encoder: Path
     features: Path | None = None
     horizon: int = 10
@@ -63,7 +66,9 @@ def recall_targets(clean: Tensor, horizon: int) -> Tensor:
 class RecallTraining(SequenceTraining):
     """Recall heads under training. The network takes no gradient and never changes."""
 
-    def __init__(self, options: RecallOptions, train: SequencePack, policy: StoredPolicy, out: Path) -> None:
+    def __init__(
+        self, options: RecallOptions, train: SequencePack, policy: StoredPolicy | OwnStates, out: Path
+    ) -> None:
         super().__init__(options, 0.5, train, policy)
         self.rnn.requires_grad_(False)
         self.heads = RecallHeads(self.rnn.state_size, self.rnn.posture_size, options.horizon, options.hidden or None)
@@ -87,14 +92,14 @@ class RecallTraining(SequenceTraining):
 
     def export(self, path: Path, done: int) -> None:
         self.policy.recall = self.heads
-        save_policy(path, self.policy)
+        self.policy.save(path) if isinstance(self.policy, OwnStates) else save_policy(path, self.policy)
 
 
 @torch.inference_mode()
-def recall_errors(policy: StoredPolicy, pack: SequencePack) -> Tensor:
+def recall_errors(policy: StoredPolicy | OwnStates, pack: SequencePack) -> Tensor:
     """Mean squared scaled error of the joints (N,) for n = 1..N on clean sequences, inputs from the data."""
     assert policy.recall is not None
-    batch = make_batch(pack, JOINTS, None, torch.Generator()).to(policy.rnn.output.weight.device)
+    batch = make_batch(pack, JOINTS, None, torch.Generator()).to(policy.rnn.initial_state(1).device)
     _, states = run(policy.rnn, batch, policy.rnn.initial_state(len(pack.length)))
     valid = batch.valid[: len(states)] > 0
     target = recall_targets(batch.clean[: len(states)], policy.recall.horizon)
@@ -108,8 +113,12 @@ def train_recall(options: RecallOptions) -> list[Path]:
         raise InputError(f"--horizon {options.horizon} is too long: choose at most {LONGEST} ticks")
     encoder, demos = Encoder(options.encoder), read_demonstrations(options.data)
     written = []
-    for path in options.policy:
+    for given in options.policy:
+        path = Path(given)
         prepare(options)  # the same heads for a candidate whether others came before it or not
+        if ":" in given and not path.exists():
+            written.append(train_own(options, given, encoder, demos))
+            continue
         policy = load_policy(path)
         if policy.encoder_hash != encoder.hash:
             raise WeightsError(path, f"was trained with another encoder than {options.encoder}", "Give that one")
@@ -124,12 +133,37 @@ def train_recall(options: RecallOptions) -> list[Path]:
         made_from = {"data": content_of(options.data), "policy": file_hash(path)}
         policy.metadata["recall_training"] = options.as_metadata() | {"data": made_from["data"]}
         fit(RecallTraining(options, packs["train"], policy, out), options, made_from, name=out.stem)
-        rms = recall_errors(policy, packs["valid"]).sqrt().tolist()
-        print(
-            f"{out}: rms recall error of the joints on validation, scaled, n = 1..{len(rms)}: "
-            + " ".join(f"{value:.4f}" for value in rms)
-        )
+        say_errors(out, policy, packs["valid"])
     return written
+
+
+def say_errors(out: Path, policy: Any, valid: SequencePack) -> None:
+    """Prints how well the heads recall."""
+    rms = recall_errors(policy, valid).sqrt().tolist()
+    print(
+        f"{out}: rms recall error of the joints on validation, scaled, n = 1..{len(rms)}: "
+        + " ".join(f"{value:.4f}" for value in rms)
+    )
+
+
+def train_own(options: RecallOptions, spec: str, encoder: Encoder, demos: list[Demonstration]) -> Path:
+    """Trains heads on the states of the policy that `spec` names, stepped over the same sequences; returns their file.
+
+    Raises InputError as `make_policy` does, and for a policy without a state, or one that looks at the picture itself.
+    """
+    policy = OwnStates(make_policy(spec))
+    out = recall_file(options.out, policy.name)
+    if out.is_file():
+        raise InputError(f"{out} is there already: delete it, or give another --out")
+    own = policy.rnn.policy
+    images = OwnEncoder(own) if hasattr(own, "encode") else encoder
+    if policy.encoder_hash not in (None, encoder.hash):
+        raise WeightsError(spec, f"was trained with another encoder than {options.encoder}", "Give that one")
+    packs = prepare_sequences(options, demos, images, policy.scaling, "action")
+    made_from = {"data": content_of(options.data), "policy": policy.hash}
+    fit(RecallTraining(options, packs["train"], policy, out), options, made_from, name=out.stem)
+    say_errors(out, policy, packs["valid"])
+    return out
 
 
 def _check_done(out: Path, options: RecallOptions, path: Path, candidate: StoredPolicy) -> None:

@@ -89,12 +89,12 @@ class SequenceTraining(Training):
 
     pool: Tensor
 
-    def __init__(self, options: Any, carry_over: float, train: SequencePack, policy: StoredPolicy) -> None:
+    def __init__(self, options: Any, carry_over: float, train: SequencePack, policy: Any) -> None:
         super().__init__(options.steps, options.learning_rate, options.final_rate)
         self.options, self.carry_over, self.train_pack = options, carry_over, train
         self.policy, self.rnn = policy, policy.rnn
         # Late states of earlier sequences; row 0 stays c_0.
-        self.register_buffer("pool", torch.zeros(POOL, self.rnn.state_size))
+        self.register_buffer("pool", self.rnn.initial_state(POOL).clone())
 
     def make_batch(self, step: int) -> tuple[Batch, Tensor, Tensor]:
         """Sequences with their augmentation, the rows of the pool they start from, and the rows they end in."""
@@ -146,7 +146,7 @@ class RnnTraining(SequenceTraining):
 
 
 def prepare_sequences(
-    options: Any, demos: list[Demonstration], encoder: Encoder, scaling: MinMaxScaling, target: str
+    options: Any, demos: list[Demonstration], encoder: Any, scaling: MinMaxScaling, target: str
 ) -> dict[str, SequencePack]:
     """Sequences of each split ("train", "valid"), with room for the rest after their end."""
     features = encode_dataset(options.data, encoder, options.features or options.out / "features.npz")

@@ -5,9 +5,10 @@ import json
 import numpy as np
 import onnx
 import pytest
+from mcap.reader import make_reader
 
 from diagrams import pick_place, sweep
-from diagrams.episodes.record import load_record
+from diagrams.episodes.record import PICTURE_EVERY, load_record
 from diagrams.world.configuration import World
 from models.files.container import file_hash
 from tests.diagrams.untrained import save_untrained
@@ -34,9 +35,27 @@ def weights(tmp_path_factory):
 def test_it_flies(weights, tmp_path, monkeypatch):
     """It predicts the posture it sees plus a drift of joint 1: that is the command, until the bounds clip it."""
     monkeypatch.chdir(tmp_path)
-    words = ["--rnn", "handmade", "--weights", weights, "--disturbance", "none", "--record", "run.npz"]
+    words = [
+        "--rnn",
+        "handmade",
+        "--weights",
+        weights,
+        "--disturbance",
+        "none",
+        "--record",
+        "run.npz",
+        "--mcap",
+        "run.mcap",
+    ]
     assert pick_place.main(pick_place.parse([*map(str, words)])) == 1  # it does not know the task
     record, outcome = load_record(tmp_path / "run.npz")
+    ticks = len(record.time)
+    assert record.picture_ticks.tolist() == list(range(0, ticks, PICTURE_EVERY))
+    with (tmp_path / "run.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    counts = {summary.channels[i].topic: n for i, n in summary.statistics.channel_message_counts.items()}
+    assert counts == {topic: ticks for topic in counts} | {"/events": len(record.events)}  # a picture a tick
+    assert len(counts) == 7
     assert (outcome["rnn"], outcome["switched"]) == ("handmade", False)
     assert record.hidden_state.shape[1] == 16
     steps = (record.desired_posture - record.posture)[:10]

@@ -66,6 +66,8 @@ def untrained(tmp_path_factory):
         (("--plot", "timeline.doc"), ["timeline.doc", ".png, .svg, .pdf"]),
         (("--json", "/dev/null/outcome.json"), ["/dev/null/outcome.json cannot be written"]),
         (("--record", "run.csv"), ["run.csv", ".npz"]),
+        (("--mcap", "run.bag"), ["run.bag", ".mcap"]),
+        (("--mcap", "/dev/null/run.mcap"), ["/dev/null/run.mcap cannot be written"]),
         (
             ("--weights", "nowhere"),
             ["no network 'lstm' in nowhere", "another folder", "python -m models.training"],

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
 
 from diagrams import sweep
 from diagrams.episodes import fingerprint
@@ -209,7 +210,9 @@ def test_remedies_are_compared_on_validation_scenes(tmp_path, weights, faked):
 def test_real_episodes(tmp_path, weights, in_this_process, monkeypatch):
     """All of it with untrained networks, 1.5 s an episode: their detector notices everything at once."""
     monkeypatch.setattr(Rollout, "run", partialmethod(Rollout.run, time_limit=1.5))
-    assert run(weights, tmp_path, episodes=2, disturbance=["none"], gamma=[1e12, 10.0], keep_records=True) == 0
+    assert (
+        run(weights, tmp_path, episodes=2, disturbance=["none"], gamma=[1e12, 10.0], keep_records=True, mcap=True) == 0
+    )
     rows = table(tmp_path)
     assert [(r["switched"], r["switch_failure"]) for r in rows] == [(False, None)] * 2 + [(True, "false switch")] * 2
     assert [r["sim_seconds"] for r in rows] == [1.5] * 4
@@ -219,6 +222,13 @@ def test_real_episodes(tmp_path, weights, in_this_process, monkeypatch):
     assert len(records) == 4
     assert all(len(record.time) == 15 and record.picture_ticks.tolist() == [0, 5, 10] for record, _ in records)
     assert {tuple(outcome["can_xy"]) for _, outcome in records} == {tuple(row["can_xy"]) for row in rows}
+    assert {path.stem for path in (tmp_path / "mcap").glob("*.mcap")} == {
+        path.stem for path in (tmp_path / "records").glob("*.npz")
+    }
+    for path in (tmp_path / "mcap").iterdir():
+        with path.open("rb") as file:
+            counts = make_reader(file).get_summary().statistics.channel_message_counts.values()
+        assert sorted(counts)[1:] == [15] * 6  # a picture a tick; but for the events
 
 
 def test_episodes_end_with_the_switching_where_that_is_asked(tmp_path, weights, in_this_process, monkeypatch):
@@ -244,6 +254,7 @@ def test_episodes_end_with_the_switching_where_that_is_asked(tmp_path, weights, 
         ({"seed": -1}, InputError, "seed -1"),
         ({"gamma": [3.0, float("nan")]}, InputError, "gamma nan is out of range"),
         ({"keep_records": True, "until": "switching"}, InputError, "--keep-records keeps whole episodes"),
+        ({"mcap": True, "until": "switching"}, InputError, "--mcap keeps whole episodes"),
         ({"gamma": [0.0]}, InputError, "gamma 0.0 is out of range"),
         ({"workers": 0}, InputError, "number of workers 0"),
         ({"training_seeds": [-1]}, InputError, "training seed -1"),

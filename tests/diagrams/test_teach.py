@@ -76,6 +76,18 @@ teach.main(teach.TeachArguments(Path({str(path)!r}), workers=0, limit=5))
     assert read_header(path).content_hash == whole
 
 
+def test_lerobots_layout(fake, tmp_path, capsys):
+    path = tmp_path / "lerobot"
+    for limit in (2, 5):
+        assert teach.main(arguments(path, format="lerobot", limit=limit)) == 0
+    assert "5 of 5 demonstrations succeeded" in capsys.readouterr().out
+    info = json.loads((path / "meta" / "info.json").read_text())
+    assert (info["total_episodes"], info["total_frames"], info["fps"]) == (5, 5 * 40, 10)
+    assert info["features"]["observation.state"]["names"] == [*(f"joint_{j}" for j in range(1, 8)), "opening"]
+    with pytest.raises(InputError, match="recorded with another seed"):
+        teach.main(arguments(path, format="lerobot", seed=1))
+
+
 @pytest.mark.parametrize("workers", [0, 1])
 def test_pictures_are_not_kept_in_memory(fake, tmp_path, monkeypatch, workers):
     written, alive = [], []

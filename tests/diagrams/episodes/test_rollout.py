@@ -11,7 +11,7 @@ from pydrake.systems.framework import CacheIndex
 
 from diagrams.episodes.calibration import never_fires
 from diagrams.episodes.episode import Episode
-from diagrams.episodes.record import Record
+from diagrams.episodes.record import PICTURE_EVERY, Record
 from diagrams.episodes.switching import GUARD
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT
@@ -417,7 +417,7 @@ def test_a_run_for_the_paper_s_words_ends_with_the_resumption(rollout, policy, m
 
 def test_pictures_are_kept_where_asked_for(rollout, policy, undisturbed):
     policy.learn(undisturbed.episode)
-    _, record = rollout.run(undisturbed.episode, pictures=True, time_limit=1.2)
+    _, record = rollout.run(undisturbed.episode, picture_every=PICTURE_EVERY, time_limit=1.2)
     assert record.picture_ticks.tolist() == [0, 5, 10]
     assert record.pictures.shape == (3, 112, 112, 3)
     assert record.pictures.dtype == np.uint8
