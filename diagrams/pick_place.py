@@ -19,6 +19,7 @@ from typing import Annotated
 import tyro
 
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.hands import HandsSchedule
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario
 from models.command_line import require_writable, run
@@ -37,6 +38,7 @@ class PickPlaceArguments(Scenario):
     """The switched controller picks and places, once."""
 
     disturbance: DisturbanceArguments = field(default_factory=DisturbanceArguments)
+    hands: tyro.conf.Suppress[HandsSchedule] = field(default_factory=HandsSchedule)  # of a scenario file
     scenario: Path | None = None  # YAML over the defaults; options on the command line go over both
     weights: Path = WEIGHTS  # folder of the trained networks
     replay: Path = Path("outputs/replay.html")  # 3-D replay that opens offline in a browser
@@ -96,7 +98,8 @@ def main(cli: PickPlaceArguments) -> int:
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, meshcat=meshcat, video=cli.video)
+    shown = dict(meshcat=meshcat, video=cli.video, hands=bool(cli.hands))
+    rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, **shown)
     require_named(rollout.policy, cli.rnn, controller.policy)
     calibration = stored_calibration(cli.detector, rollout.policy, cli.weights)
     for path in written:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.hands import HandsSchedule
 from diagrams.world.names import SPOTS
 from models.errors import InputError
 from models.networks import network_label
@@ -22,6 +23,7 @@ class Scenario:
     vacant: str | None = None  # left or right; sampled where not given
     disturbance: DisturbanceSpec = field(default_factory=lambda: DisturbanceSpec(kind="A"))
     world: World = field(default_factory=World)
+    hands: HandsSchedule = field(default_factory=HandsSchedule)  # what a person did, as live.py --save leaves it
 
     def check(self) -> None:
         """Raises InputError for a value outside its choices."""
@@ -34,6 +36,7 @@ class Scenario:
         if self.can is not None and len(self.can) != 2:
             raise InputError(f"the can's position {self.can} does not have two numbers: give x and y in metres")
         self.disturbance.check()
+        self.hands.check()
         self.world.check()
 
 
