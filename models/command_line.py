@@ -16,6 +16,7 @@ EXTRAS = {
     "train": ("h5py", "onnx", "onnxscript", "torch"),
     "sweep": ("dask", "distributed", "pandas", "pyarrow", "scipy", "sklearn"),
     "analysis": ("cmaes", "optuna"),
+    "live": ("bokeh", "tornado"),
 }
 ROOT = Path(__file__).resolve().parents[1]  # of the checkout
 

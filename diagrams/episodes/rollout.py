@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer
 
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
@@ -241,12 +241,7 @@ class Rollout:
             judge(earlier, False)
         while k < limit + switching.ticks_disturbed and not success and not cut:
             # Half a plant step before the tick the plant is as the tick sees it, and no event is pending.
-            if (
-                keep is not None
-                and k
-                and not homing
-                and self._advance(k * period - 0.5 * self.world.timing.time_step, *ports["state"])
-            ):
+            if keep is not None and k and not homing and self.advance(k * period - 0.5 * self.world.timing.time_step):
                 port, context = ports["approach_distance"]
                 if float(port.Eval(context)[0]) < BRANCH_LEVELS.get(episode.disturbance.subtask, -np.inf):
                     if not switching.crossings and not switching.ticks_disturbed:
@@ -289,6 +284,11 @@ class Rollout:
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
 
+    def judged(self, name: str) -> np.ndarray:
+        """The value of a port of JUDGED, or of the plant's state, now."""
+        system, port = self._ports[name]
+        return port.Eval(system.GetMyContextFromRoot(self.simulator.get_context())).copy()
+
     def latest(self) -> dict[str, np.ndarray]:
         """What a Record has of the present tick and is logged, by name; the logs are emptied.
 
@@ -312,23 +312,23 @@ class Rollout:
         return dict(zip((*LOGGED, "network_input"), map(np.ascontiguousarray, (*parts, network_input)), strict=True))
 
     def _to_middle(self, k: int, homing: bool, way_home: WayHome, ports: dict) -> bool:
-        """To the middle of tick k, see `_advance`; on a way home it is looked at after each step of the plant.
+        """To the middle of tick k, see `advance`; on a way home it is looked at after each step of the plant.
 
         `homing`: whether the arm was on a way home in the tick before.
         """
         period, steps = self.world.timing.period, round(self.world.timing.period / self.world.timing.time_step)
-        state, root = ports["state"], self.simulator.get_context()
+        root = self.simulator.get_context()
         first = steps // 2 + 1  # that the plant takes after the update of tick k
         for step in range(1 if homing else first, steps + 1):
-            if not self._advance((k - 0.5 + step / steps) * period, *state):
+            if not self.advance((k - 0.5 + step / steps) * period):
                 return False
             posture, alpha, active = (p.Eval(c) for p, c in map(ports.__getitem__, WATCHED))
             if alpha[0] < GUARD or active[0] > 0.5:
                 break
             way_home.see(root, closed=bool(posture[ARM_JOINTS] < self.world.close_below))
-        return self._advance((k + 0.5) * period, *state)
+        return self.advance((k + 0.5) * period)
 
-    def _advance(self, seconds: float, state: OutputPort, plant_context: Context) -> bool:
+    def advance(self, seconds: float) -> bool:
         """To that time; False if the physics diverged: something hard was squeezed between hard things."""
         try:
             self.simulator.AdvanceTo(seconds)
@@ -337,4 +337,4 @@ class Rollout:
                 raise
             return False
         # The last step may have overflowed, and Drake ends the process that asks for a pose then.
-        return bool(np.isfinite(state.Eval(plant_context)).all())
+        return bool(np.isfinite(self.judged("state")).all())

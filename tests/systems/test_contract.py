@@ -14,8 +14,8 @@ from systems.body_force import BodyForce
 from systems.camera_fault import CameraFault
 from systems.dialled_detector import DialledDetector, GammaDial
 from systems.disturbance import Disturbance
-from systems.first_given import FirstGiven
 from systems.finger_release import FingerRelease
+from systems.first_given import FirstGiven
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector

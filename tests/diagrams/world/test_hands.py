@@ -65,7 +65,8 @@ def test_a_pull_moves_the_hand_that_way_and_the_servo_brings_it_back(handed, pol
     grip = [[0.0, 1.0, *FREE]]  # so that the network has no say in it
     schedule = HandsSchedule(force=[[4.0, 0.0, 10.0, 0.0], [8.0, 0.0, 0.0, 0.0]], grip=grip)
     pulled, free = run(handed, policy, schedule, 1.6), run(handed, policy, HandsSchedule(grip=grip), 1.6)
-    offset = [hand.grasp_position(a) - hand.grasp_position(b) for a, b in zip(pulled.posture[:, :7], free.posture[:, :7], strict=True)]  # fmt: skip
+    there, here = ([hand.grasp_position(row[:7]) for row in record.posture] for record in (pulled, free))
+    offset = np.subtract(there, here)
     assert np.array_equal(pulled.posture[:5], free.posture[:5])
     assert 0.001 < offset[8][1] < 0.02
     assert np.linalg.norm(offset[8]) < 2 * offset[8][1]
