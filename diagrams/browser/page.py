@@ -60,6 +60,8 @@ for (const [name, down] of [['keydown', 1], ['keyup', 0]]) document.addEventList
 window.addEventListener('blur', () => hold(0))
 document.addEventListener('visibilitychange', () => hold(0))
 """
+# A browser is sent nothing new before it has drawn the last: a slow one sees fewer updates, not old ones.
+DRAWN = "requestAnimationFrame(() => setTimeout(() => { drawn.data = {update: [sent.data.update[0]]} }))"
 STYLE = ":host { font-size: 13px; } .bk-btn { font-size: 13px; }"
 
 
@@ -72,6 +74,7 @@ class Page:
         self._seen, self._pictured = (0, 0), -1
         self._live = ColumnDataSource({name: [] for name in COLUMNS}, name=LIVE)
         self._hand = ColumnDataSource({"hold": [0]}, name=HAND)
+        self._sent, self._drawn = (ColumnDataSource({"update": [0]}, name=name) for name in ("sent", "drawn"))
         self._images = [ColumnDataSource({"image": []}) for _ in range(2)]
         self._desk = ColumnDataSource({"x": [], "y": []})
         self._message = Div(text="", name="message", styles={"color": "#c53030", "min-height": "1.3em"})
@@ -81,9 +84,13 @@ class Page:
         document.add_root(self._layout(scene_url))
         self._hand.on_change("data", lambda _a, _o, new: self._say(lambda: self._hold(bool(new["hold"][0]))))
         document.js_on_event("document_ready", CustomJS(args={"hand": self._hand}, code=HOLDING))
+        drawn = CustomJS(args={"sent": self._sent, "drawn": self._drawn}, code=DRAWN)
+        self._sent.js_on_change("data", drawn)
+        document.js_on_event("document_ready", drawn)  # what came with the page itself
+        document.add_root(self._sent)
+        document.add_root(self._drawn)
         document.on_session_destroyed(lambda _: self._hold(False))
         document.add_periodic_callback(self._update, UPDATE_MS)
-        self._update()
 
     def _hold(self, held: bool) -> None:
         self._run.session.hold(self._name, held)
@@ -102,7 +109,7 @@ class Page:
         scene = Div(
             text=f'<iframe src="{html.escape(scene_url)}" title="the scene" '
             'style="width: 100%; height: 100%; border: 0"></iframe>',
-            sizing_mode="stretch_width", height=460, stylesheets=[InlineStyleSheet(css=":host > div { height: 100%; }")],
+            sizing_mode="stretch_width", height=460, stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
         )  # fmt: skip
         pictures = row(*(self._picture(i, title) for i, title in enumerate(("camera", "what the features say of it"))))
         left = column(scene, self._message, self._controls(), sizing_mode="stretch_width", min_width=640)
@@ -232,7 +239,8 @@ class Page:
         return column(
             row(hold, move),
             row(*forces, button("Let go", let_go, "let_go")),
-            row(*place, put, camera),
+            row(*place, put),
+            camera,
             row(self._pause, button("One tick", run.single, "single"), button("Next scene", run.next_scene, "next"),
                 button("Save", self._save, "save"), speed),
             row(*self._chosen.values()),
@@ -280,10 +288,16 @@ class Page:
     def _choose(self, **changes) -> None:
         self._run.choose(**changes)
 
-    # What is new, twenty times a second.
+    # What is new.
 
     def _update(self) -> None:
+        if not self._document.session_context.session.connection_count:  # not there yet, or gone
+            self._hold(False)
+            return
+        if self._drawn.data["update"][0] != self._sent.data["update"][0]:
+            return
         session, run = self._run.session, self._run
+        before = self._seen, self._pictured
         if self._seen[0] != session.scene:
             self._seen, self._pictured = (session.scene, 0), -1
             self._live.data = {name: [] for name in COLUMNS}
@@ -295,12 +309,18 @@ class Page:
             self._live.stream({name: [each[name] for each in rows] for name in COLUMNS}, rollover=KEPT_ROWS)
             self._seen = session.scene, session.ticks
         # A picture takes as long as ten plots.
-        if session.ticks and session.ticks - self._pictured >= run.ticks_a_picture or self._pictured < 0 < session.ticks:
+        if (
+            session.ticks
+            and session.ticks - self._pictured >= run.ticks_a_picture
+            or self._pictured < 0 < session.ticks
+        ):
             self._pictured = session.ticks
             for source, picture in zip(self._images, session.pictures(), strict=True):
                 source.data = {"image": [_rgba(picture)]}
             x, y = session.can_xy()
             self._desk.data = {"x": [x], "y": [y]}
+        if (self._seen, self._pictured) != before:
+            self._sent.data = {"update": [self._sent.data["update"][0] + 1]}
         self._put(self._status, run.words())
         events = "<br>".join(html.escape(f"{seconds:6.1f} s  {what}") for seconds, what in reversed(session.events))
         if events != getattr(self, "_seen_events", None):

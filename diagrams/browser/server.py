@@ -14,7 +14,6 @@ from diagrams.browser.run import Run
 from models.errors import InputError
 
 HOST = "127.0.0.1"
-GONE_MS = 2000  # after that a browser that is not there any more lets the arm go
 
 
 def serve(run: Run, port: int, scene_url: str, on_ready) -> None:
@@ -31,10 +30,11 @@ def serve(run: Run, port: int, scene_url: str, on_ready) -> None:
         server = Server(
             {"/": application}, io_loop=loop, port=port, address=HOST,
             allow_websocket_origin=[f"{name}:{port}" for name in (HOST, "localhost")],
-            check_unused_sessions_milliseconds=GONE_MS // 2, unused_session_lifetime_milliseconds=GONE_MS,
         )  # fmt: skip
     except OSError as error:
-        raise InputError(f"the page cannot be served at port {port} ({error.strerror}): choose another --port") from error
+        raise InputError(
+            f"the page cannot be served at port {port} ({error.strerror}): choose another --port"
+        ) from error
     failures: list[BaseException] = []
 
     def work() -> None:
