@@ -61,6 +61,7 @@ window.addEventListener('blur', () => hold(0))
 document.addEventListener('visibilitychange', () => hold(0))
 """
 # A browser is sent nothing new before it has drawn the last: a slow one sees fewer updates, not old ones.
+NEVER = -1_000_000  # tick of a picture that was not drawn yet
 DRAWN = "requestAnimationFrame(() => setTimeout(() => { drawn.data = {update: [sent.data.update[0]]} }))"
 STYLE = ":host { font-size: 13px; } .bk-btn { font-size: 13px; }"
 
@@ -71,7 +72,7 @@ class Page:
     def __init__(self, document: Document, run: Run, scene_url: str):
         """`scene_url`: of Meshcat."""
         self._document, self._run, self._name = document, run, document.session_context.id
-        self._seen, self._pictured = (0, 0), -1
+        self._seen, self._pictured, self._told = (0, 0), NEVER, ""
         self._live = ColumnDataSource({name: [] for name in COLUMNS}, name=LIVE)
         self._hand = ColumnDataSource({"hold": [0]}, name=HAND)
         self._sent, self._drawn = (ColumnDataSource({"update": [0]}, name=name) for name in ("sent", "drawn"))
@@ -109,7 +110,8 @@ class Page:
         scene = Div(
             text=f'<iframe src="{html.escape(scene_url)}" title="the scene" '
             'style="width: 100%; height: 100%; border: 0"></iframe>',
-            sizing_mode="stretch_width", height=460, stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
+            sizing_mode="stretch_width", height=460,
+            stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
         )  # fmt: skip
         pictures = row(*(self._picture(i, title) for i, title in enumerate(("camera", "what the features say of it"))))
         left = column(scene, self._message, self._controls(), sizing_mode="stretch_width", min_width=640)
@@ -126,15 +128,15 @@ class Page:
         return made
 
     def _alpha(self):
-        plot = self._plot(130, "α", Range1d(-0.05, 1.05))
+        plot = self._plot(130, "alpha", Range1d(-0.05, 1.05))
         plot.step("time", "active", source=self._live, color="orange", alpha=0.6, line_width=5, legend_label="held")
-        plot.step("time", "alpha", source=self._live, color="crimson", line_width=2, legend_label="α", mode="after")
+        plot.step("time", "alpha", source=self._live, color="crimson", line_width=2, legend_label="alpha", mode="after")
         plot.add_layout(Span(location=GUARD, dimension="width", line_dash="dashed", line_color="gray"))
         _small_legend(plot)
         return plot
 
     def _errors(self):
-        plot = self._plot(140, "errors / γ", Range1d(1e-3, 1e3), y_axis_type="log")
+        plot = self._plot(140, "errors / gamma", Range1d(1e-3, 1e3), y_axis_type="log")
         plot.line("time", "first", source=self._live, color="#8888dd", legend_label="of the prediction")
         plot.line("time", "worst", source=self._live, color="black", line_width=2, legend_label="the largest")
         plot.add_layout(Span(location=1.0, dimension="width", line_dash="dashed", line_color="crimson"))
@@ -210,8 +212,8 @@ class Page:
                 slider.value = 0
 
         place = [
-            Slider(title=f"can {axis} (m)", start=lower[i], end=upper[i], step=0.005, value=np.mean([lower[i], upper[i]]),
-                   format="0.000", width=150)
+            Slider(title=f"can {axis} (m)", start=lower[i], end=upper[i], step=0.005, format="0.000", width=150,
+                   value=0.5 * (lower[i] + upper[i]))
             for i, axis in enumerate("xy")
         ]  # fmt: skip
         put = button("Put the can there", lambda: run.session.put_can(*(slider.value for slider in place)), "put")
@@ -227,7 +229,7 @@ class Page:
             "seed": TextInput(title="seed", width=90),
             "rnn": Select(title="network", options=list(NETWORKS), width=100),
             "detector": Select(title="detector", options=list(DETECTORS), width=100),
-            "gamma": TextInput(title="γ", width=90),
+            "gamma": TextInput(title="gamma", width=90),
         }
         self._show_choices()
         self._chosen["gamma"].on_change("value", lambda _a, _o, new: self._typed("gamma", new, float, self._set_gamma))
@@ -249,7 +251,7 @@ class Page:
 
     def _save(self) -> None:
         self._events.text = f"written: {html.escape(str(self._run.save()))}"
-        self._seen_events = None
+        self._told = ""
 
     def _show_choices(self) -> None:
         """What runs, in the fields, where another page or the next scene has changed it."""
@@ -299,7 +301,7 @@ class Page:
         session, run = self._run.session, self._run
         before = self._seen, self._pictured
         if self._seen[0] != session.scene:
-            self._seen, self._pictured = (session.scene, 0), -1
+            self._seen, self._pictured = (session.scene, 0), NEVER
             self._live.data = {name: [] for name in COLUMNS}
             self._show_choices()
         new = session.ticks - self._seen[1]
@@ -309,11 +311,7 @@ class Page:
             self._live.stream({name: [each[name] for each in rows] for name in COLUMNS}, rollover=KEPT_ROWS)
             self._seen = session.scene, session.ticks
         # A picture takes as long as ten plots.
-        if (
-            session.ticks
-            and session.ticks - self._pictured >= run.ticks_a_picture
-            or self._pictured < 0 < session.ticks
-        ):
+        if session.ticks and session.ticks - self._pictured >= run.ticks_a_picture:
             self._pictured = session.ticks
             for source, picture in zip(self._images, session.pictures(), strict=True):
                 source.data = {"image": [_rgba(picture)]}
@@ -323,8 +321,8 @@ class Page:
             self._sent.data = {"update": [self._sent.data["update"][0] + 1]}
         self._put(self._status, run.words())
         events = "<br>".join(html.escape(f"{seconds:6.1f} s  {what}") for seconds, what in reversed(session.events))
-        if events != getattr(self, "_seen_events", None):
-            self._seen_events = events
+        if events != self._told:
+            self._told = events
             self._events.text = events
         label = "Go on" if run.paused else "Pause"
         if self._pause.label != label:

@@ -18,7 +18,6 @@ from diagrams.world.hands import Hands
 from diagrams.world.names import ARM_JOINTS, DECODER, ENCODER
 from diagrams.world.scenario import Scenario, save_scenario
 from diagrams.world.task import REST_SECONDS, lifted
-from models.errors import InputError
 from models.inference import Decoder
 
 KEPT_ROWS, KEPT_EVENTS = 400, 8
@@ -61,7 +60,7 @@ class Session:
         self.scenario, self.rollout, self.episode = scenario, rollout, episode
         self.gamma = episode.hands.gamma[-1][1] if episode.hands.gamma else calibration.gamma
         self.ticks, self.scene, self.ended = 0, self.scene + 1, ""
-        self.mode, self.since = TASK, 0.0
+        self.mode, self.since, self._done = TASK, 0.0, False
         self.rows.clear()
         self.events.clear()
         self._postures: deque[np.ndarray] = deque(maxlen=round(REST_SECONDS / self.period) + 2)
@@ -139,7 +138,7 @@ class Session:
         self._hands.pull(self._root, self.ticks, force)
 
     def put_can(self, x: float, y: float) -> None:
-        """Takes the can, wherever it is, and puts it at (x, y), m, world; raises InputError for a place out of reach."""
+        """Puts the can, wherever it is, on the desk at (x, y), m, world; raises InputError for a place out of reach."""
         self._sampler.require_reachable((x, y))
         self._hands.put_can(self._root, self.ticks, np.array([x, y]))
 
@@ -182,10 +181,11 @@ class Session:
         self._narrator.see(row["time"], posture, row["alpha"], active, taken, cans, home)
         self._narrator.events.clear()
         gap = self.rollout.station.finger_gap(self._root)
-        if home and not active and self._monitor.success(cans, np.array(self._postures), gap):
-            if self.events and self.events[-1][1] != DONE:
-                self._narrator.say(row["time"], DONE)
-                self.ended = "task done: begin the next scene, or go on"
+        done = home and not active and self._monitor.success(cans, np.array(self._postures), gap)
+        if done and not self._done:
+            self._narrator.say(row["time"], DONE)
+            self.ended = "task done: begin the next scene, or go on"
+        self._done = done
 
     def _read(self, name: str) -> np.ndarray:
         return self.rollout.judged(name)
@@ -200,7 +200,8 @@ class Session:
         errors = np.maximum(found["errors"] / self.gamma, 1e-6)
         horizon = len(recalled) - 1
         row = {
-            "time": k * self.period, "imagined_time": (k + 1) * self.period, "recalled_time": (k - horizon) * self.period,
+            "time": k * self.period, "imagined_time": (k + 1) * self.period,
+            "recalled_time": (k - horizon) * self.period,
             "alpha": float(self._read("alpha")[0]), "worst": float(errors.max()), "first": float(errors[0]),
             "active": float(self._read("active")[0] > 0.5), "wall": time.time(),
         }  # fmt: skip

@@ -1,4 +1,4 @@
-"""live.py in a real browser: open, hold, alpha rises in the page, let go, it falls, the task is done; the end by Ctrl-C.
+"""live.py in a real browser: hold, alpha rises in the page, let go, it falls, the task is done; the end by Ctrl-C.
 
 Skipped without a Chromium on this machine: Debian's is enough, nothing is fetched.
 """
@@ -99,8 +99,8 @@ def test_hold_alpha_rises_let_go_it_falls_the_task_is_done(browser, tmp_path):
         page.wait_for_function("Array.from(Bokeh.documents[0].get_model_by_name('live').data.active).at(-1) == 1")
         page.keyboard.up("Space")
         # What a person types is judged in the page, and the scene goes on.
-        page.get_by_label("γ").fill("many")
-        page.get_by_label("γ").press("Enter")
+        page.get_by_label("gamma").fill("many")
+        page.get_by_label("gamma").press("Enter")
         page.get_by_text("gamma 'many' is no number: type one").first.wait_for()
         page.get_by_label("speed").select_option("the fastest")
         page.wait_for_function(f"{NEWEST} < 0.1")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from diagrams import pick_place
+from diagrams.browser.page import COLUMNS
 from diagrams.browser.run import Run
 from diagrams.browser.session import KEPT_ROWS, RETURN, TASK, Session
 from diagrams.episodes.record import load_record
@@ -144,8 +145,14 @@ def test_bad_input_leaves_the_scene_as_it_is(session, act, named):
 
 
 def test_another_network_and_detector(session):
-    session.choose(seed=6, rnn="gru", detector="knn")
+    session.choose(seed=6, rnn="gru")
     ticks(session, 3)
     assert session.rollout.policy.name == "gru"
-    assert session.gamma != 0
+    with pytest.raises(InputError, match="no calibration for the policy"):
+        session.choose(detector="knn")
+    ticks(session, 1)
+    assert (session.ticks, session.recorded().rnn) == (4, "gru")
+    session.choose(seed=6, rnn="lstm", detector="knn")
+    ticks(session, 1)
+    assert len(session.rows[-1]) == len(COLUMNS)
     session.choose(seed=6, rnn="lstm", detector="recall")
