@@ -19,6 +19,7 @@ from typing import Annotated
 import tyro
 
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.hands import HandsSchedule
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world
 from models.command_line import require, require_writable, run
@@ -37,6 +38,7 @@ class PickPlaceArguments(Scenario):
     """The switched controller picks and places, once."""
 
     disturbance: DisturbanceArguments = field(default_factory=DisturbanceArguments)
+    hands: tyro.conf.Suppress[HandsSchedule] = field(default_factory=HandsSchedule)  # of a scenario file
     scenario: Path | None = None  # YAML over the defaults; options on the command line go over both
     # YAML file of the world, below what a scenario or options say of it
     world_file: Annotated[Path | None, tyro.conf.arg(name="world")] = None
@@ -102,7 +104,8 @@ def main(cli: PickPlaceArguments) -> int:
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, meshcat=meshcat, video=cli.video)
+    shown = dict(meshcat=meshcat, video=cli.video, hands=bool(cli.hands))
+    rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, **shown)
     if cli.policy is None:
         require_named(rollout.policy, cli.rnn, controller.policy)
     calibration = stored_calibration(cli.detector, rollout.policy, cli.weights)
@@ -132,7 +135,7 @@ def main(cli: PickPlaceArguments) -> int:
     if cli.mcap is not None:
         from diagrams.episodes.mcap_file import save_mcap
 
-        save_mcap(cli.mcap, record, outcome)
+        save_mcap(cli.mcap, record, outcome, cli.world)
     meshcat.StopRecording()
     meshcat.PublishRecording()
     if rollout.video is not None:

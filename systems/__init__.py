@@ -22,6 +22,12 @@ alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 regulated_mixer        the two of them, as one Diagram
 clearance_filter       the way home that looks: the smallest change of a step that keeps the arm at a distance
 disturbance            moves or stops the arm in an experiment (discrete state)
+manual_disturbance     a person's hand on the arm: holds or moves it, whenever a signal says so (discrete state)
+signal_schedule        a signal that changes at given ticks: what a person did, when
+body_force             a force that pulls at a body
+camera_fault           the camera is covered, it gets dark, its picture freezes (abstract state)
+first_given            two sources for one signal, by rank
+dialled_detector       a detector whose gamma is an input
 switched_controller    all of the controller, as one Diagram
 arguments              checks of constructor arguments
 =====================  =============================================================================================

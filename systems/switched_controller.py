@@ -21,7 +21,7 @@ class SwitchedController(Diagram):
     .. pydrake_system::
 
         name: SwitchedController
-        input_ports: [rgb_image, posture]  # and finger_gaps, where fingers that hold nothing open at home
+        input_ports: [rgb_image, posture]  # finger_gaps and gamma too, where told so
         output_ports: [desired_posture, rnn_step, regulator_step, alpha, errors, hidden_state, predicted_features,
           recalled_postures, measured_posture, features, network_input]
 
@@ -29,6 +29,7 @@ class SwitchedController(Diagram):
         rgb_image: ImageRgba8U of image_width x image_height pixels.
         posture: (M,) physical units: measured joint angles (rad), then the finger openings as commanded (m).
         finger_gaps: (M - J,) these openings as measured, m; only with `empty_below`.
+        gamma: (1,) see systems/dialled_detector.py; only with such a detector.
     Outputs (physical units; constant between ticks, but for the last two, which alone have direct feedthrough):
         desired_posture: (M,) the command m_k + dm; at home, empty fingers open.
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
@@ -169,6 +170,8 @@ class SwitchedController(Diagram):
         wire(network, detector, "recalled_postures", "hidden_state")
         wire(network, mixer, "predicted_posture")
         wire(detector, closer, "alpha")
+        if detector.HasInputPort("gamma"):
+            builder.ExportInput(detector.GetInputPort("gamma"), "gamma")
         for name, hold in holds.items():
             builder.Connect(detector.GetOutputPort(name), hold.get_input_port())
         builder.Connect(holds["alpha"].get_output_port(), mixer.GetInputPort("alpha"))

@@ -16,7 +16,7 @@ FLOORS = (
     {"diagrams.world"},
     {"diagrams.episodes"},
     {"diagrams.drawing"},
-    {"diagrams.hybrid", "diagrams.sweeps"},
+    {"diagrams.hybrid", "diagrams.sweeps", "diagrams.browser"},
     {"programs"},
 )
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))

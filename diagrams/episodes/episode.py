@@ -4,6 +4,7 @@ import dataclasses
 from dataclasses import dataclass, field
 
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.hands import HandsSchedule
 
 DIVERGED = "simulation diverged"  # a failure of the task and of the switching
 
@@ -20,6 +21,7 @@ class Episode:
     detector: str = "recall"
     # Whether the straight way home from the disturbance is clear; None: undisturbed, or not looked at.
     way_home_clear: bool | None = None
+    hands: HandsSchedule = field(default_factory=HandsSchedule)  # what a person did beside it
 
 
 @dataclass

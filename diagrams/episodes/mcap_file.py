@@ -24,6 +24,7 @@ from pydrake.math import RigidTransform
 
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.record import Record
+from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CANS
 from diagrams.world.station import arm_plant
 from models.files.container import write_bytes
@@ -34,19 +35,19 @@ POSTURES = {"/joint_states": "posture", "/command": "desired_posture"}  # topic:
 CONTROLLER = "hindsight.Controller"
 
 
-def save_mcap(path: Path, record: Record, outcome: Outcome) -> None:
-    """Writes `record` and `outcome` to `path` (.mcap)."""
-    write_bytes(path, mcap_bytes(record, outcome))
+def save_mcap(path: Path, record: Record, outcome: Outcome, world: World) -> None:
+    """Writes `record` and `outcome` of a run in `world` to `path` (.mcap)."""
+    write_bytes(path, mcap_bytes(record, outcome, world))
 
 
-def mcap_bytes(record: Record, outcome: Outcome) -> bytes:
+def mcap_bytes(record: Record, outcome: Outcome, world: World) -> bytes:
     """The content of an MCAP file; see this module. Needs foxglove-sdk."""
     import foxglove
     from foxglove import channels, messages
 
     context, file = foxglove.Context(), io.BytesIO()
     schema, Controller = _controller()
-    frames = _transforms(record)
+    frames = _transforms(record, world)
     with foxglove.open_mcap(file, context=context) as writer:
         camera = channels.CompressedImageChannel("/camera", context=context)
         transforms = channels.FrameTransformsChannel("/tf", context=context)
@@ -100,9 +101,9 @@ def _transform(name: str, X_WF: RigidTransform, stamp: Any) -> Any:
     )  # fmt: skip
 
 
-def _transforms(record: Record) -> Iterator[dict[str, RigidTransform]]:
+def _transforms(record: Record, world: World) -> Iterator[dict[str, RigidTransform]]:
     """Poses in the world by the names of the frames, tick by tick."""
-    plant = arm_plant()
+    plant = arm_plant(world)
     context = plant.CreateDefaultContext()
     frames = {frame.scoped_name().get_full(): frame for i in ("arm", "gripper") for frame in (
         plant.get_body(body).body_frame() for body in plant.GetBodyIndices(plant.GetModelInstanceByName(i))

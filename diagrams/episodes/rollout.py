@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.primitives import LogVectorOutput, Multiplexer
 
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
@@ -22,11 +22,14 @@ from diagrams.world.can_mover import CanMover
 from diagrams.world.clearance_map import add_clearance_filter
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.ghost import add_ghost
+from diagrams.world.hands import Hands
 from diagrams.world.names import ARM_JOINTS, other_spot
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
 from systems.detectors import DETECTORS
+from systems.dialled_detector import DialledDetector
 from systems.disturbance import Disturbance
 from systems.switched_controller import SwitchedController
 
@@ -54,6 +57,7 @@ class Rollout:
         calibration: Calibration | None = None,
         meshcat=None,
         video: Path | None = None,
+        hands: bool = False,
     ):
         """
         Args:
@@ -61,6 +65,7 @@ class Rollout:
             detector, calibration: see systems/detector.py; None: the recall, with the policy's own calibration.
             meshcat: where the run is shown.
             video: an .mp4 to write, finished by `self.video.Save()`.
+            hands: with a person's hands (`self.hands`, see world/hands.py) between the parts.
 
         Raises InputError for networks, camera and world that do not fit together.
         """
@@ -73,6 +78,8 @@ class Rollout:
             detector = DETECTORS[RECALL].build(policy, ARM_JOINTS, {})
             calibration = calibration or stored_calibration(RECALL, policy, Path())
         self.calibration = calibration
+        if hands:
+            detector = DialledDetector(detector)
         try:
             self.controller = SwitchedController(
                 encoder,
@@ -100,7 +107,18 @@ class Rollout:
         disturbance = self.disturbance = Disturbance(posture_size=policy.posture_size, period=period)
         builder.AddNamedSystem("disturbance", disturbance)
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
-        builder.Connect(station.GetOutputPort("rgb_image"), controller.GetInputPort("rgb_image"))
+        image, disturbed, active, place = (
+            system.GetOutputPort(name)
+            for system, name in ((station, "rgb_image"), (disturbance, "disturbed_posture"), (disturbance, "active"),
+                                 (self.can_mover, "can_place"))
+        )  # fmt: skip
+        self.hands = Hands(builder, world, station, disturbed, active, place) if hands else None
+        if self.hands is not None:
+            image, disturbed, active, place = (
+                self.hands.image, self.hands.command, self.hands.active, self.hands.place,
+            )  # fmt: skip
+            builder.Connect(self.hands.gamma, controller.GetInputPort("gamma"))
+        builder.Connect(image, controller.GetInputPort("rgb_image"))
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
         if world.releases:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
@@ -109,9 +127,9 @@ class Rollout:
         )
         builder.Connect(self._command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
-        builder.Connect(disturbance.GetOutputPort("disturbed_posture"), station.GetInputPort("desired_posture"))
+        builder.Connect(disturbed, station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
-        builder.Connect(self.can_mover.GetOutputPort("can_place"), station.GetInputPort("can_place"))
+        builder.Connect(place, station.GetInputPort("can_place"))
         # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
         logged = [self._command if name == COMMAND else controller.GetOutputPort(name) for name in LOGGED]
         self._sizes = [port.size() for port in logged]
@@ -125,11 +143,10 @@ class Rollout:
         self._ports = {
             name: (system, system.GetOutputPort(name))
             for system, name in (
-                (controller, "measured_posture"), (controller, "alpha"), (disturbance, "active"),
-                (self.can_mover, "taken"), (station, "can_poses"), (station, "rgb_image"), (plant, "state"),
-                (station, "approach_distance"),
+                (controller, "measured_posture"), (controller, "alpha"), (self.can_mover, "taken"),
+                (station, "can_poses"), (plant, "state"), (station, "approach_distance"),
             )
-        }  # fmt: skip
+        } | {name: (port.get_system(), port) for name, port in (("active", active), ("rgb_image", image))}  # fmt: skip
         self.video = None
         if video is not None:
             from pydrake.visualization import VideoWriter
@@ -141,6 +158,7 @@ class Rollout:
 
             # The scene graph is inside the station, where ApplyVisualizationConfig does not look.
             MeshcatVisualizer.AddToBuilder(builder, station.GetOutputPort("query_object"), meshcat)
+            add_ghost(builder, meshcat, world, controller, policy.scaling)
         self.diagram = builder.Build()
         self.diagram.set_name("pick_place")
         self.simulator = Simulator(self.diagram)
@@ -150,6 +168,10 @@ class Rollout:
         station, given, context = self.station, episode.disturbance, self.diagram.CreateDefaultContext()
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
         self._set_disturbance(context, given)
+        if self.hands is not None:
+            self.hands.set(context, episode.hands)
+        elif episode.hands:
+            raise InputError("the episode has a person's hands, the diagram has none: build it with hands=True")
         if (used := calibration or self.calibration) is None:
             raise InputError("the detector has no calibration: give one, or run diagrams/baselines.py")
         self.controller.set_calibration(context, used.mean_errors, used.beta, used.gamma)
@@ -191,7 +213,7 @@ class Rollout:
         Args:
             on_event: is told (s, what happened); on_tick: is told the number of ticks so far.
             picture_every: ticks between two pictures of the camera that are kept; 0: none are.
-            time_limit: s, plus the time disturbed.
+            time_limit: s, plus the time disturbed, after the last that a person's hands did.
             calibration: see `prepare`.
             start: what the run begins with instead of tick 0: of the same scene, network and calibration.
             keep: is given such a beginning, once, where the distance to the goal falls below BRANCH_LEVELS.
@@ -205,7 +227,7 @@ class Rollout:
         rows: dict[str, list] = {name: [] if start is None else list(start.rows[name]) for name in ARRAYS}
         way_home = WayHome(self.station)
         success = diverged = cut = can_moved = homing = False
-        limit, k = round(time_limit / period), 0 if start is None else start.ticks
+        limit, k = round(time_limit / period) + episode.hands.last_tick, 0 if start is None else start.ticks
 
         def judge(k: int, taken: bool) -> bool:
             """Tells of row k; whether the arm is at its initial posture."""
@@ -219,12 +241,7 @@ class Rollout:
             judge(earlier, False)
         while k < limit + switching.ticks_disturbed and not success and not cut:
             # Half a plant step before the tick the plant is as the tick sees it, and no event is pending.
-            if (
-                keep is not None
-                and k
-                and not homing
-                and self._advance(k * period - 0.5 * self.world.timing.time_step, *ports["state"])
-            ):
+            if keep is not None and k and not homing and self.advance(k * period - 0.5 * self.world.timing.time_step):
                 port, context = ports["approach_distance"]
                 if float(port.Eval(context)[0]) < BRANCH_LEVELS.get(episode.disturbance.subtask, -np.inf):
                     if not switching.crossings and not switching.ticks_disturbed:
@@ -267,6 +284,24 @@ class Rollout:
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
 
+    def judged(self, name: str) -> np.ndarray:
+        """The value of a port of JUDGED, or of the plant's state, now."""
+        system, port = self._ports[name]
+        return port.Eval(system.GetMyContextFromRoot(self.simulator.get_context())).copy()
+
+    def latest(self) -> dict[str, np.ndarray]:
+        """What a Record has of the present tick and is logged, by name; the logs are emptied.
+
+        For runs without an end; `run` has no use of it.
+        """
+        root = self.simulator.get_mutable_context()
+        parts = self._logged.get_output_port().Eval(self._logged.GetMyContextFromRoot(root))
+        found = dict(zip(LOGGED, np.split(parts, np.cumsum(self._sizes)[:-1]), strict=True))
+        found["network_input"] = self._input_log.FindLog(root).data()[:, -1].copy()
+        for log in (self._log, self._input_log):
+            log.FindMutableLog(root).Clear()
+        return found
+
     def _logs(self, ticks: int) -> dict[str, np.ndarray]:
         """What was logged of the first `ticks` ticks, (ticks, size) by name."""
         root = self.simulator.get_context()
@@ -277,23 +312,23 @@ class Rollout:
         return dict(zip((*LOGGED, "network_input"), map(np.ascontiguousarray, (*parts, network_input)), strict=True))
 
     def _to_middle(self, k: int, homing: bool, way_home: WayHome, ports: dict) -> bool:
-        """To the middle of tick k, see `_advance`; on a way home it is looked at after each step of the plant.
+        """To the middle of tick k, see `advance`; on a way home it is looked at after each step of the plant.
 
         `homing`: whether the arm was on a way home in the tick before.
         """
         period, steps = self.world.timing.period, round(self.world.timing.period / self.world.timing.time_step)
-        state, root = ports["state"], self.simulator.get_context()
+        root = self.simulator.get_context()
         first = steps // 2 + 1  # that the plant takes after the update of tick k
         for step in range(1 if homing else first, steps + 1):
-            if not self._advance((k - 0.5 + step / steps) * period, *state):
+            if not self.advance((k - 0.5 + step / steps) * period):
                 return False
             posture, alpha, active = (p.Eval(c) for p, c in map(ports.__getitem__, WATCHED))
             if alpha[0] < GUARD or active[0] > 0.5:
                 break
             way_home.see(root, closed=bool(posture[ARM_JOINTS] < self.world.close_below))
-        return self._advance((k + 0.5) * period, *state)
+        return self.advance((k + 0.5) * period)
 
-    def _advance(self, seconds: float, state: OutputPort, plant_context: Context) -> bool:
+    def advance(self, seconds: float) -> bool:
         """To that time; False if the physics diverged: something hard was squeezed between hard things."""
         try:
             self.simulator.AdvanceTo(seconds)
@@ -302,4 +337,4 @@ class Rollout:
                 raise
             return False
         # The last step may have overflowed, and Drake ends the process that asks for a pose then.
-        return bool(np.isfinite(state.Eval(plant_context)).all())
+        return bool(np.isfinite(self.judged("state")).all())

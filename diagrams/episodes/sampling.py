@@ -113,6 +113,7 @@ class EpisodeSampler:
         given, rnn, detector = scenario.disturbance, scenario.label, DETECTORS.label(scenario.detector)
         kind = given.kind if given.level is None else "none"
         episode = self.sample(scenario.seed, kind, scenario.can, scenario.vacant, rnn, detector)
+        episode = replace(episode, hands=scenario.hands)
         if given.level is None or given.kind == "none":
             return episode
         if given.target is not None and self._hand.margin(np.array(given.target)) < 0.0:
@@ -232,6 +233,14 @@ class EpisodeSampler:
             f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found to which the arm comes "
             f"freely, in {approach.where}: give disturbance.target"
         )
+
+    def pushed_away(self, rng: np.random.Generator, start: np.ndarray, can_xy: XY | None, vacant: str) -> np.ndarray:
+        """(7,) rad: as the target of disturbance A, for an arm that is at `start` (7,), rad.
+
+        `can_xy` (m, world): where the can stands; None: in the hand. Raises InputError where no posture is found.
+        """
+        self._checker.set_scene(can_xy, vacant, self._world.opening)
+        return self._deflected(rng, start, Approach(start[None], np.zeros(1), "the scene as it is now"))
 
     def comes_freely(self, start: np.ndarray, target: np.ndarray) -> bool:
         """Whether the arm can be moved from `start` to `target` (7, rad) within its limits, and touches nothing.

@@ -90,7 +90,7 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
         if "mcap" in task.files:
             from diagrams.episodes.mcap_file import mcap_bytes
 
-            row["mcap"] = mcap_bytes(record, outcome)
+            row["mcap"] = mcap_bytes(record, outcome, task.world)
     except (Exception, SystemExit) as error:  # Drake calls exit for some of its errors
         return error_row(task, error)
     return row

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.hands import HandsSchedule
 from diagrams.world.names import SPOTS
 from models.errors import InputError
 from models.networks import network_label
@@ -25,6 +26,7 @@ class Scenario:
     disturbance: DisturbanceSpec = field(default_factory=lambda: DisturbanceSpec(kind="A"))
     world: World = field(default_factory=World)
     policy: str | None = None  # package.module:Class of one's own (models/policy.py), instead of rnn
+    hands: HandsSchedule = field(default_factory=HandsSchedule)  # what a person did, as live.py --save leaves it
 
     @property
     def label(self) -> str:
@@ -44,6 +46,7 @@ class Scenario:
         if self.can is not None and len(self.can) != 2:
             raise InputError(f"the can's position {self.can} does not have two numbers: give x and y in metres")
         self.disturbance.check()
+        self.hands.check()
         self.world.check()
 
 

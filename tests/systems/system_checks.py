@@ -45,9 +45,16 @@ def outputs(system, context: Context) -> dict:
     return {port.get_name(): port.Eval(context) for port in ports}
 
 
+def as_bytes(value) -> bytes:
+    """A vector, a picture, or a list of forces on bodies."""
+    if isinstance(value, list):
+        return b"".join(force.F_Bq_W.get_coeffs().tobytes() for force in value)
+    return np.asarray(getattr(value, "data", value)).tobytes()
+
+
 def snapshot(system, context: Context) -> dict:
     """All outputs and the discrete state as bytes."""
-    bits: dict = {name: np.asarray(value).tobytes() for name, value in outputs(system, context).items()}
+    bits: dict = {name: as_bytes(value) for name, value in outputs(system, context).items()}
     for i in range(context.num_discrete_state_groups()):
         bits[i] = np.array(context.get_discrete_state(i).value()).tobytes()
     return bits

@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from diagrams.episodes.mcap_file import JOINT_NAMES, mcap_bytes, save_mcap
+from diagrams.world.configuration import World
 from tests.diagrams.episode_fakes import OUTCOME
 from tests.diagrams.recorded_run import recorded_run
 
@@ -43,7 +44,7 @@ def record(world):
 def messages(record):
     """By topic, (nanoseconds, schema, message) in the order of time."""
     found = defaultdict(list)
-    reader = make_reader(io.BytesIO(mcap_bytes(record, OUTCOME)), decoder_factories=[DecoderFactory()])
+    reader = make_reader(io.BytesIO(mcap_bytes(record, OUTCOME, World())), decoder_factories=[DecoderFactory()])
     for schema, channel, raw, message in reader.iter_decoded_messages():
         found[channel.topic].append((raw.log_time, schema.name, message))
     return found
@@ -123,7 +124,7 @@ def test_transforms_are_those_of_the_station(record, messages, station):
 
 def test_events_and_outcome(record, messages):
     assert [(when / 1e9, message.message) for when, _, message in messages["/events"]] == record.events
-    reader = make_reader(io.BytesIO(mcap_bytes(record, OUTCOME)))
+    reader = make_reader(io.BytesIO(mcap_bytes(record, OUTCOME, World())))
     (metadata,) = reader.iter_metadata()
     assert metadata.name == "outcome"
     assert metadata.metadata["detection_delay_s"] == str(OUTCOME.detection_delay_s)
@@ -131,5 +132,5 @@ def test_events_and_outcome(record, messages):
 
 
 def test_the_same_record_gives_the_same_file(record, tmp_path):
-    save_mcap(tmp_path / "new" / "run.mcap", record, OUTCOME)
-    assert (tmp_path / "new" / "run.mcap").read_bytes() == mcap_bytes(record, OUTCOME)
+    save_mcap(tmp_path / "new" / "run.mcap", record, OUTCOME, World())
+    assert (tmp_path / "new" / "run.mcap").read_bytes() == mcap_bytes(record, OUTCOME, World())

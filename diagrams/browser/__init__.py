@@ -1,0 +1,1 @@
+"""The page of live.py: what runs behind it, what it shows, and how it is served."""

@@ -1,0 +1,64 @@
+"""When the next tick is due, and how many came too late."""
+
+import numpy as np
+
+BINS = np.arange(0.0, 1.0001, 0.0005)  # s: of the histogram of the ticks' lengths; what is longer counts as 1 s
+RECENT = 100  # ticks
+
+
+class Pace:
+    """Keeps to the clock. All times s; the caller says what time it is."""
+
+    def __init__(self, period: float, speed: float = 1.0):
+        """`period`: of the ticks in simulated time; `speed`: simulated over real; 0: as fast as can be."""
+        self._period, self.speed = period, speed
+        self._due: float | None = None
+        self._lengths = np.zeros(len(BINS), int)
+        self._recent = np.zeros(RECENT, bool)
+        self.ticks = self.late = self._paced = 0
+
+    @property
+    def step(self) -> float:
+        """Real time from one tick to the next."""
+        return self._period / self.speed if self.speed else 0.0
+
+    def rest(self) -> None:
+        """No tick is due: a pause, a new scene or another speed; the next tick begins the count anew."""
+        self._due = None
+
+    def wait(self, now: float) -> float:
+        """How long it is until the next tick is due; 0: it is."""
+        return 0.0 if self._due is None or not self.speed else max(0.0, self._due - now)
+
+    def ran(self, began: float, ended: float) -> None:
+        """A tick was run from `began` to `ended`. It is late if it ended after the next one was due."""
+        self._lengths[np.searchsorted(BINS, min(ended - began, BINS[-1]), side="right") - 1] += 1
+        self.ticks += 1
+        if not self.speed:
+            return
+        due = began if self._due is None else self._due
+        late = ended > due + self.step
+        self._recent[self._paced % RECENT] = late
+        self.late += late
+        self._paced += 1
+        # What was lost is not made up for by haste, but for one tick.
+        self._due = due + self.step if ended <= due + 2 * self.step else ended
+
+    def behind(self) -> float:
+        """Share of the last ticks that were late."""
+        return float(self._recent.mean())
+
+    def length(self, share: float) -> float:
+        """The quantile `share` of the ticks' lengths, to half a millisecond above."""
+        whole = np.cumsum(self._lengths)
+        return float(BINS[min(np.searchsorted(whole, share * whole[-1]) + 1, len(BINS) - 1)])
+
+    def words(self) -> str:
+        """All of it, in a line."""
+        if not self.ticks:
+            return "no tick was run"
+        late = f"{self.late} of {self._paced} paced ticks late ({100 * self.late / max(self._paced, 1):.1f} %)"
+        return (
+            f"{self.ticks} ticks; {late}; a tick takes {1e3 * self.length(0.5):.1f} ms in the median, "
+            f"{1e3 * self.length(0.99):.1f} ms at 99 %"
+        )

@@ -1,0 +1,349 @@
+"""The page: what is drawn of a Session, and its widgets. One Bokeh document a browser, all of one session."""
+
+import html
+from collections.abc import Callable
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.events import Tap
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    ColumnDataSource,
+    CustomJS,
+    DataRange1d,
+    Div,
+    InlineStyleSheet,
+    Legend,
+    LegendItem,
+    RadioButtonGroup,
+    Range1d,
+    Select,
+    Slider,
+    Span,
+    TextInput,
+)
+from bokeh.palettes import Category10_7
+from bokeh.plotting import figure
+
+from diagrams.browser.run import Run
+from diagrams.browser.session import KEPT_ROWS
+from diagrams.world.hands import LARGEST_FORCE
+from diagrams.world.names import ARM_JOINTS
+from models.errors import InputError
+from models.networks import NETWORKS
+from systems.camera_fault import FAULTS
+from systems.detector import GUARD
+from systems.detectors import DETECTORS
+
+SHOWN_SECONDS = 20.0  # of the plots
+UPDATE_MS = 50  # between two looks at the session
+SPEEDS = {"a quarter": 0.25, "half": 0.5, "real time": 1.0, "2 times": 2.0, "5 times": 5.0, "the fastest": 0.0}
+COLUMNS = (
+    "time", "imagined_time", "recalled_time", "alpha", "worst", "first", "active", "wall",
+    *(f"{letter}{j}" for letter in "mir" for j in range(1, ARM_JOINTS + 1)),
+)  # fmt: skip
+LIVE, HAND = "live", "hand"  # names of the source of the plots, and of the one that says what a person's hand does
+
+# The button, wherever in the page, and the space bar: down and up. Whatever takes the page away lets the arm go.
+HOLDING = """
+const hold = (down) => { if (hand.data.hold[0] !== down) hand.data = {hold: [down]} }
+const typing = (event) => event.composedPath().some((n) => n.tagName === 'INPUT' || n.tagName === 'SELECT')
+const on_button = (event) => event.composedPath().some((n) => n.classList && n.classList.contains('hold-the-arm'))
+document.addEventListener('pointerdown', (event) => { if (on_button(event)) hold(1) })
+for (const name of ['pointerup', 'pointercancel']) document.addEventListener(name, () => hold(0))
+for (const [name, down] of [['keydown', 1], ['keyup', 0]]) document.addEventListener(name, (event) => {
+  if (event.code !== 'Space' || typing(event)) return
+  event.preventDefault()
+  hold(down)
+}, true)
+window.addEventListener('blur', () => hold(0))
+document.addEventListener('visibilitychange', () => hold(0))
+"""
+# A browser is sent nothing new before it has drawn the last: a slow one sees fewer updates, not old ones.
+NEVER = -1_000_000  # tick of a picture that was not drawn yet
+DRAWN = "requestAnimationFrame(() => setTimeout(() => { drawn.data = {update: [sent.data.update[0]]} }))"
+STYLE = ":host { font-size: 13px; } .bk-btn { font-size: 13px; }"
+
+
+class Page:
+    """The document of one browser."""
+
+    def __init__(self, document: Document, run: Run, scene_url: str):
+        """`scene_url`: of Meshcat."""
+        self._document, self._run, self._name = document, run, document.session_context.id
+        self._seen, self._pictured, self._told = (0, 0), NEVER, ""
+        self._live = ColumnDataSource({name: [] for name in COLUMNS}, name=LIVE)
+        self._hand = ColumnDataSource({"hold": [0]}, name=HAND)
+        self._sent, self._drawn = (ColumnDataSource({"update": [0]}, name=name) for name in ("sent", "drawn"))
+        self._images = [ColumnDataSource({"image": []}) for _ in range(2)]
+        self._desk = ColumnDataSource({"x": [], "y": []})
+        self._message = Div(text="", name="message", styles={"color": "#c53030", "min-height": "1.3em"})
+        self._status = Div(text="", name="status", width=470, styles={"font-size": "15px"})
+        self._events = Div(text="", name="events", width=470, height=120)
+        document.title = "Hindsight, live"
+        document.add_root(self._layout(scene_url))
+        self._hand.on_change("data", lambda _a, _o, new: self._say(lambda: self._hold(bool(new["hold"][0]))))
+        document.js_on_event("document_ready", CustomJS(args={"hand": self._hand}, code=HOLDING))
+        drawn = CustomJS(args={"sent": self._sent, "drawn": self._drawn}, code=DRAWN)
+        self._sent.js_on_change("data", drawn)
+        document.js_on_event("document_ready", drawn)  # what came with the page itself
+        document.add_root(self._sent)
+        document.add_root(self._drawn)
+        document.on_session_destroyed(lambda _: self._hold(False))
+        document.add_periodic_callback(self._update, UPDATE_MS)
+
+    def _hold(self, held: bool) -> None:
+        self._run.session.hold(self._name, held)
+
+    def _say(self, act: Callable[[], object]) -> None:
+        """Does what a person asks for; what cannot be done is said in the page."""
+        try:
+            act()
+            self._message.text = ""
+        except InputError as error:
+            self._message.text = html.escape(str(error))
+
+    # What is drawn.
+
+    def _layout(self, scene_url: str):
+        scene = Div(
+            text=f'<iframe src="{html.escape(scene_url)}" title="the scene" '
+            'style="width: 100%; height: 100%; border: 0"></iframe>',
+            sizing_mode="stretch_width", height=460,
+            stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
+        )  # fmt: skip
+        pictures = row(*(self._picture(i, title) for i, title in enumerate(("camera", "what the features say of it"))))
+        left = column(scene, self._message, self._controls(), sizing_mode="stretch_width", min_width=640)
+        right = column(self._status, self._alpha(), self._errors(), self._joints(), row(pictures, self._desk_map()))
+        return row(left, right, sizing_mode="stretch_width")
+
+    def _plot(self, height: int, label: str, y_range, **options):
+        follow = DataRange1d(follow="end", follow_interval=SHOWN_SECONDS, range_padding=0.0)
+        made = figure(
+            height=height, width=640, x_range=follow, y_range=y_range, y_axis_label=label, toolbar_location=None,
+            output_backend="canvas", **options,
+        )  # fmt: skip
+        made.min_border_left = 65
+        return made
+
+    def _alpha(self):
+        plot = self._plot(130, "alpha", Range1d(-0.05, 1.05))
+        plot.step("time", "active", source=self._live, color="orange", alpha=0.6, line_width=5, legend_label="held")
+        plot.step("time", "alpha", source=self._live, color="crimson", line_width=2, legend_label="alpha", mode="after")
+        plot.add_layout(Span(location=GUARD, dimension="width", line_dash="dashed", line_color="gray"))
+        _small_legend(plot)
+        return plot
+
+    def _errors(self):
+        plot = self._plot(140, "errors / gamma", Range1d(1e-3, 1e3), y_axis_type="log")
+        plot.line("time", "first", source=self._live, color="#8888dd", legend_label="of the prediction")
+        plot.line("time", "worst", source=self._live, color="black", line_width=2, legend_label="the largest")
+        plot.add_layout(Span(location=1.0, dimension="width", line_dash="dashed", line_color="crimson"))
+        _small_legend(plot)
+        return plot
+
+    def _joints(self):
+        plot, items = self._plot(300, "joints (deg)", DataRange1d(range_padding=0.05)), []
+        plot.xaxis.axis_label = "time in the scene (s)"
+        for letter, when, dash, width in (
+            ("m", "time", "solid", 2), ("i", "imagined_time", "dashed", 2), ("r", "recalled_time", "dotted", 3),
+        ):  # fmt: skip
+            lines = [
+                plot.line(when, f"{letter}{j}", source=self._live, color=Category10_7[j - 1], line_dash=dash,
+                          line_width=width)
+                for j in range(1, ARM_JOINTS + 1)
+            ]  # fmt: skip
+            word = {"m": "measured", "i": "imagined", "r": "recalled, a second later"}[letter]
+            items.append(LegendItem(label=word, renderers=lines, index=0))
+        plot.add_layout(Legend(items=items, orientation="horizontal"), "above")
+        _small_legend(plot)
+        return plot
+
+    def _picture(self, place: int, title: str):
+        plot = figure(
+            width=190, height=215, title=title, x_range=(0, 1), y_range=(0, 1), toolbar_location=None,
+            x_axis_location=None, y_axis_location=None,
+        )  # fmt: skip
+        plot.grid.grid_line_color = None
+        plot.image_rgba("image", x=0, y=0, dw=1, dh=1, source=self._images[place])
+        return plot
+
+    def _desk_map(self):
+        """From above, as from behind the arm: x up, y to the left."""
+        lower, upper = self._run.session.bounds()
+        plot = figure(
+            width=240, height=215, title="the can: click to put it", toolbar_location=None, tools="tap",
+            x_range=Range1d(upper[1] + 0.03, lower[1] - 0.03), y_range=Range1d(lower[0] - 0.03, upper[0] + 0.03),
+            x_axis_label="y (m)", y_axis_label="x (m)", match_aspect=True, name="desk",
+        )  # fmt: skip
+        plot.quad(left=lower[1], right=upper[1], bottom=lower[0], top=upper[0], color="#dddddd")
+        plot.scatter("y", "x", source=self._desk, size=14, color="crimson")
+        plot.on_event(Tap, lambda event: self._say(lambda: self._run.session.put_can(event.y, event.x)))
+        return plot
+
+    # What can be done.
+
+    def _controls(self):
+        run, session = self._run, self._run.session
+        lower, upper = session.bounds()
+
+        def button(label: str, act: Callable[[], object], name: str | None = None, kind: str = "default") -> Button:
+            made = Button(label=label, button_type=kind, name=name, stylesheets=[InlineStyleSheet(css=STYLE)])
+            made.on_click(lambda: self._say(act))
+            return made
+
+        hold = Button(
+            label="Hold the arm (or the space bar)", button_type="danger", css_classes=["hold-the-arm"], width=240
+        )
+        move = button("Move it to a random posture (A)", lambda: run.session.move(), "move", "warning")
+        forces = [
+            Slider(title=f"pull {axis} (N)", start=-LARGEST_FORCE, end=LARGEST_FORCE, step=1, value=0, width=150)
+            for axis in "xyz"
+        ]
+        for slider in forces:
+            slider.on_change(
+                "value",
+                lambda _a, _o, _n: self._say(lambda: run.session.pull(np.array([each.value for each in forces]))),
+            )
+
+        def let_go() -> None:
+            for slider in forces:
+                slider.value = 0
+
+        place = [
+            Slider(title=f"can {axis} (m)", start=lower[i], end=upper[i], step=0.005, format="0.000", width=150,
+                   value=0.5 * (lower[i] + upper[i]))
+            for i, axis in enumerate("xy")
+        ]  # fmt: skip
+        put = button("Put the can there", lambda: run.session.put_can(*(slider.value for slider in place)), "put")
+        camera = RadioButtonGroup(labels=[f"camera {kind}" for kind in FAULTS], active=0)
+        camera.on_change("active", lambda _a, _o, new: self._say(lambda: run.session.fault(FAULTS[new])))
+        self._pause = button("Pause", lambda: run.pause(not run.paused), "pause", "primary")
+        speed = Select(
+            title="speed", options=list(SPEEDS), width=110,
+            value=next((word for word, value in SPEEDS.items() if value == run.pace.speed), "real time"),
+        )  # fmt: skip
+        speed.on_change("value", lambda _a, _o, new: self._say(lambda: run.set_speed(SPEEDS[new])))
+        self._chosen = {
+            "seed": TextInput(title="seed", width=90),
+            "rnn": Select(title="network", options=list(NETWORKS), width=100),
+            "detector": Select(title="detector", options=list(DETECTORS), width=100),
+            "gamma": TextInput(title="gamma", width=90),
+        }
+        self._show_choices()
+        self._chosen["gamma"].on_change("value", lambda _a, _o, new: self._typed("gamma", new, float, self._set_gamma))
+        self._chosen["seed"].on_change(
+            "value", lambda _a, _o, new: self._typed("seed", new, int, lambda seed: self._choose(seed=seed))
+        )
+        for name in ("rnn", "detector"):
+            self._chosen[name].on_change("value", lambda _a, _o, new, name=name: self._choose_named(name, new))
+        return column(
+            row(hold, move),
+            row(*forces, button("Let go", let_go, "let_go")),
+            row(*place, put),
+            camera,
+            row(self._pause, button("One tick", run.single, "single"), button("Next scene", run.next_scene, "next"),
+                button("Save", self._save, "save"), speed),
+            row(*self._chosen.values()),
+            self._events,
+        )  # fmt: skip
+
+    def _save(self) -> None:
+        self._events.text = f"written: {html.escape(str(self._run.save()))}"
+        self._told = ""
+
+    def _show_choices(self) -> None:
+        """What runs, in the fields, where another page or the next scene has changed it."""
+        session = self._run.session
+        self._running = {
+            "seed": str(session.scenario.seed), "rnn": session.scenario.rnn, "detector": session.scenario.detector,
+            "gamma": f"{session.gamma:.4g}",
+        }  # fmt: skip
+        for name, value in self._running.items():
+            if name in ("rnn", "detector") and value not in self._chosen[name].options:  # package.module:Class
+                self._chosen[name].options = [*self._chosen[name].options, value]
+            self._chosen[name].value = value
+
+    def _typed(self, name: str, text: str, kind: Callable, act: Callable) -> None:
+        if text == self._running[name]:  # put there by the page itself
+            return
+
+        def read() -> None:
+            try:
+                value = kind(text)
+            except ValueError as error:
+                word = "whole number" if kind is int else "number"
+                raise InputError(f"{name} '{text}' is no {word}: type one") from error
+            act(value)
+
+        self._say(read)
+
+    def _set_gamma(self, gamma: float) -> None:
+        self._run.session.set_gamma(gamma)
+        self._running["gamma"] = f"{gamma:.4g}"
+
+    def _choose_named(self, name: str, value: str) -> None:
+        if value != self._running[name]:
+            self._say(lambda: self._choose(**{name: value}))
+
+    def _choose(self, **changes) -> None:
+        self._run.choose(**changes)
+
+    # What is new.
+
+    def _update(self) -> None:
+        if not self._document.session_context.session.connection_count:  # not there yet, or gone
+            self._hold(False)
+            return
+        if self._drawn.data["update"][0] != self._sent.data["update"][0]:
+            return
+        session, run = self._run.session, self._run
+        before = self._seen, self._pictured
+        if self._seen[0] != session.scene:
+            self._seen, self._pictured = (session.scene, 0), NEVER
+            self._live.data = {name: [] for name in COLUMNS}
+            self._show_choices()
+        new = session.ticks - self._seen[1]
+        if new:
+            rows = list(session.rows)[-new:]
+            # Only so many of them can have been kept: in between, the page was away.
+            self._live.stream({name: [each[name] for each in rows] for name in COLUMNS}, rollover=KEPT_ROWS)
+            self._seen = session.scene, session.ticks
+        # A picture takes as long as ten plots.
+        if session.ticks and session.ticks - self._pictured >= run.ticks_a_picture:
+            self._pictured = session.ticks
+            for source, picture in zip(self._images, session.pictures(), strict=True):
+                source.data = {"image": [_rgba(picture)]}
+            x, y = session.can_xy()
+            self._desk.data = {"x": [x], "y": [y]}
+        if (self._seen, self._pictured) != before:
+            self._sent.data = {"update": [self._sent.data["update"][0] + 1]}
+        self._put(self._status, run.words())
+        events = "<br>".join(html.escape(f"{seconds:6.1f} s  {what}") for seconds, what in reversed(session.events))
+        if events != self._told:
+            self._told = events
+            self._events.text = events
+        label = "Go on" if run.paused else "Pause"
+        if self._pause.label != label:
+            self._pause.label = label
+
+    @staticmethod
+    def _put(div: Div, text: str) -> None:
+        if div.text != text:
+            div.text = text
+
+
+def _rgba(picture: np.ndarray) -> np.ndarray:
+    """uint8 (h, w, 3) as Bokeh draws it: uint32 (h, w), the lowest row first."""
+    image = np.full((*picture.shape[:2], 4), 255, np.uint8)
+    image[:, :, :3] = picture[::-1]
+    return image.view(np.uint32).reshape(picture.shape[:2])
+
+
+def _small_legend(plot) -> None:
+    plot.legend.label_text_font_size = "11px"
+    plot.legend.padding = plot.legend.margin = 2
+    plot.legend.background_fill_alpha = 0.6
+    if plot.legend.location != "above":
+        plot.legend.location = "top_left"

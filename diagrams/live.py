@@ -1,0 +1,81 @@
+"""Plays with the arm in the browser: hold it, pull it, take its can, cover its camera, and look into its memory.
+
+    python diagrams/live.py
+
+The page is served on this machine alone. Ctrl-C ends it. Exit code 2: bad input.
+"""
+
+import logging
+import os
+import sys
+import webbrowser
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.hands import HandsSchedule
+from diagrams.world.names import WEIGHTS
+from diagrams.world.scenario import Scenario
+from models.command_line import require, require_writable, run
+from models.errors import InputError
+
+PORTS = range(1024, 65536)
+
+
+@dataclass
+class LiveArguments(Scenario):
+    """The switched controller picks and places, and you disturb it."""
+
+    disturbance: tyro.conf.Suppress[DisturbanceSpec] = field(default_factory=DisturbanceSpec)  # yours alone
+    hands: tyro.conf.Suppress[HandsSchedule] = field(default_factory=HandsSchedule)
+    weights: Path = WEIGHTS  # folder of the trained networks
+    speed: float = 1.0  # simulated over real time; 0: as fast as possible
+    save: Path = Path("outputs/live.yaml")  # where Save, and the end, leave what was done; for pick_place.py --scenario
+    port: int = 5006  # of the page
+    meshcat_port: int = 7000  # of the 3-D view in it
+    open: bool = True  # the page in a browser, where there is a display
+
+
+def parse(arguments: list[str] | None = None) -> LiveArguments:
+    """The command line over the defaults."""
+    return tyro.cli(LiveArguments, args=arguments, description=__doc__)
+
+
+def main(cli: LiveArguments) -> int:
+    """Runs until Ctrl-C; returns the exit code."""
+    cli.check()
+    require("bokeh", "tornado")
+    if not 0.0 <= cli.speed < float("inf"):
+        raise InputError(f"the speed {cli.speed} is negative or not finite: choose 0 (as fast as possible) or more")
+    for name, port in (("port", cli.port), ("meshcat-port", cli.meshcat_port)):
+        if port not in PORTS:
+            raise InputError(f"--{name} {port} is no port that can be had: choose from {PORTS[0]} to {PORTS[-1]}")
+    require_writable(cli.save)
+    print("loading the networks and building the diagram ...", flush=True)
+    from diagrams.browser.run import Run
+    from diagrams.browser.scene import open_scene
+    from diagrams.browser.server import serve
+    from diagrams.browser.session import Session
+
+    logging.getLogger("drake").setLevel(logging.WARNING)
+    meshcat = open_scene(cli.meshcat_port)
+    names = Scenario.__dataclass_fields__
+    scenario = Scenario(**{name: getattr(cli, name) for name in names})
+    live = Run(Session(scenario, cli.weights, meshcat), cli.speed, cli.save)
+
+    def ready(url: str) -> None:
+        print(f"the page: {url}  (Ctrl-C ends it)", flush=True)
+        if cli.open and (sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            webbrowser.open(url)
+
+    serve(live, cli.port, meshcat.web_url(), ready)
+    if live.session.recorded().hands:
+        print(f"written: {live.save()}")
+    print(live.pace.words())
+    return 0
+
+
+if __name__ == "__main__":
+    run(main, parse)

@@ -1,0 +1,174 @@
+"""A person's hands in the diagram: what they did, tick by tick, and the systems that do it again."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import Adder
+
+from diagrams.world.configuration import World
+from diagrams.world.names import ARM_JOINTS
+from diagrams.world.station import PickPlaceStation
+from models.errors import InputError
+from systems.body_force import BodyForce
+from systems.camera_fault import FAULTS, CameraFault
+from systems.disturbance import MOVE_TICKS
+from systems.first_given import FirstGiven
+from systems.manual_disturbance import FREE, HOLD, MOVE, ManualDisturbance
+from systems.signal_schedule import SignalSchedule
+
+HELD_TICKS = 10  # at the posture to which the arm was moved, as of disturbance A
+LARGEST_FORCE = 60.0  # N, a component of a pull at the hand
+GAMMAS = 1.0, 10_000.0  # smallest and largest that can be chosen
+# By the names of HandsSchedule, the values before the first change.
+INITIAL = {
+    "grip": [FREE] + [0.0] * ARM_JOINTS, "force": [0.0] * 3, "can": [math.nan] * 2, "camera": [0.0],
+    "gamma": [math.nan],
+}  # fmt: skip
+
+
+@dataclass
+class HandsSchedule:
+    """What a person did in a run: rows of the tick from which on something holds, and its values. Ticks rise."""
+
+    grip: list[list[float]] = field(default_factory=list)  # 0 free, 1 held, 2 moved to the joint angles (rad) after it
+    force: list[list[float]] = field(default_factory=list)  # x, y, z at the hand, N, world
+    can: list[list[float]] = field(default_factory=list)  # in that tick alone, x and y where it is put, m, world
+    camera: list[list[float]] = field(default_factory=list)  # place in systems.camera_fault.FAULTS
+    gamma: list[list[float]] = field(default_factory=list)  # of the detector, instead of its own
+
+    def __bool__(self) -> bool:
+        """Whether anything was done."""
+        return any(vars(self).values())
+
+    @property
+    def last_tick(self) -> int:
+        """The last tick at which something changed; 0: nothing ever did."""
+        return int(max((rows[-1][0] for rows in vars(self).values() if rows), default=0))
+
+    def check(self) -> None:
+        """Raises InputError for rows that are no changes."""
+        for name, rows in vars(self).items():
+            before = -1.0
+            for row in rows:
+                if len(row) != 1 + len(INITIAL[name]) or not np.all(np.isfinite(row)):
+                    wanted = f"a tick and {len(INITIAL[name])} finite numbers"
+                    raise InputError(f"hands.{name} has the row {row}: give {wanted}")
+                if row[0] != int(row[0]) or row[0] <= before:
+                    raise InputError(f"hands.{name} has the tick {row[0]} after {before}: give whole ones that rise")
+                before = row[0]
+        for name, allowed in (("grip", (FREE, HOLD, MOVE)), ("camera", range(len(FAULTS)))):
+            for row in getattr(self, name):
+                if row[1] not in allowed:
+                    raise InputError(f"hands.{name} has the kind {row[1]}: choose from {[int(k) for k in allowed]}")
+        if any(row[1] <= 0.0 for row in self.gamma):
+            raise InputError("hands.gamma has a value that is not greater than 0: give one that is")
+
+
+class Hands:
+    """The systems of a person's hands, wired between the parts of a Rollout.
+
+    Attributes:
+        image, command, place, active: output ports: the picture for the controller, the command for the arm, where the
+            can is put (2,), and above 1/2 while the arm is disturbed by anybody.
+    """
+
+    def __init__(
+        self,
+        builder: DiagramBuilder,
+        world: World,
+        station: PickPlaceStation,
+        command: OutputPort,
+        active: OutputPort,
+        place: OutputPort,
+    ):
+        """Adds them to `builder`; `command`, `active`, `place`: as they are without a person, see the attributes."""
+        period, plant = world.timing.period, station.plant
+        self._schedules = {
+            name: builder.AddNamedSystem(f"hands_{name}", SignalSchedule(initial=initial, period=period))
+            for name, initial in INITIAL.items()
+        }
+        self.gamma, camera, grip, force, can = (
+            self._schedules[name].get_output_port() for name in ("gamma", "camera", "grip", "force", "can")
+        )
+        fault = builder.AddNamedSystem("camera_fault", CameraFault(world.camera.width, world.camera.height, period))
+        builder.Connect(station.GetOutputPort("rgb_image"), fault.GetInputPort("rgb_image"))
+        builder.Connect(camera, fault.GetInputPort("fault"))
+        hand = builder.AddNamedSystem(
+            "manual_disturbance", ManualDisturbance(posture_size=command.size(), joints=ARM_JOINTS, period=period)
+        )
+        builder.Connect(command, hand.GetInputPort("desired_posture"))
+        builder.Connect(grip, hand.GetInputPort("grip"))
+        grasp = plant.GetFrameByName("grasp")
+        pull = builder.AddNamedSystem(
+            "pull", BodyForce(grasp.body().index(), grasp.GetFixedPoseInBodyFrame().translation())
+        )
+        builder.Connect(force, pull.get_input_port())
+        builder.Connect(pull.get_output_port(), station.GetInputPort("applied_spatial_force"))
+        first = builder.AddNamedSystem("can_place", FirstGiven(place.size()))
+        builder.Connect(can, first.GetInputPort("first"))
+        builder.Connect(place, first.GetInputPort("second"))
+        either = builder.AddNamedSystem("disturbed", Adder(2, 1))
+        builder.Connect(active, either.get_input_port(0))
+        builder.Connect(hand.GetOutputPort("active"), either.get_input_port(1))
+        self.image, self.command, self.place, self.active = (
+            system.get_output_port() if name is None else system.GetOutputPort(name)
+            for system, name in ((fault, None), (hand, "disturbed_posture"), (first, None), (either, None))
+        )
+
+    def set(self, root: Context, schedule: HandsSchedule) -> None:
+        """Puts all of `schedule` into the root's Context; raises InputError as its `check` does."""
+        schedule.check()
+        for name, rows in vars(schedule).items():
+            points = [(int(tick), values) for tick, *values in rows]
+            if name == "can":  # each for one tick
+                ticks = {tick for tick, _ in points}
+                points += [(tick + 1, INITIAL[name]) for tick in ticks if tick + 1 not in ticks]
+            system = self._schedules[name]
+            system.set_points(system.GetMyMutableContextFromRoot(root), sorted(points))
+
+    def schedule(self, root: Context) -> HandsSchedule:
+        """What is in the root's Context."""
+        rows = {
+            name: [[tick, *values] for tick, values in system.points(system.GetMyContextFromRoot(root))]
+            for name, system in self._schedules.items()
+        }
+        rows["can"] = [row for row in rows["can"] if not np.isnan(row).any()]
+        return HandsSchedule(**{name: [list(map(float, row)) for row in found] for name, found in rows.items()})
+
+    def _change(self, root: Context, name: str, tick: int, values) -> None:
+        system = self._schedules[name]
+        system.change(system.GetMyMutableContextFromRoot(root), tick, values)
+
+    def hold(self, root: Context, tick: int, held: bool) -> None:
+        """From `tick` on, which has not begun, as in all that follows, the arm is held, or let go."""
+        self._change(root, "grip", tick, [HOLD if held else FREE, *INITIAL["grip"][1:]])
+
+    def move(self, root: Context, tick: int, target: np.ndarray) -> None:
+        """The arm is moved to `target` (7,), rad, held there, and let go, as under disturbance A."""
+        self._change(root, "grip", tick, [MOVE, *target])
+        self._change(root, "grip", tick + MOVE_TICKS + HELD_TICKS, INITIAL["grip"])
+
+    def pull(self, root: Context, tick: int, force: np.ndarray) -> None:
+        """The hand is pulled by `force` (3,), N, world; raises InputError beyond LARGEST_FORCE."""
+        if not np.all(np.abs(force) <= LARGEST_FORCE):
+            raise InputError(f"the force {list(force)} N is too large: choose at most {LARGEST_FORCE} N a component")
+        self._change(root, "force", tick, force)
+
+    def put_can(self, root: Context, tick: int, place: np.ndarray) -> None:
+        """The can is put at `place` (2,), m, world, on the desk, in the middle of `tick`."""
+        self._change(root, "can", tick, place)
+        self._change(root, "can", tick + 1, INITIAL["can"])
+
+    def fault(self, root: Context, tick: int, kind: str) -> None:
+        """The camera has a fault of FAULTS; raises InputError for another one."""
+        if kind not in FAULTS:
+            raise InputError(f"there is no camera fault '{kind}': choose from {', '.join(FAULTS)}")
+        self._change(root, "camera", tick, [FAULTS.index(kind)])
+
+    def set_gamma(self, root: Context, tick: int, gamma: float) -> None:
+        """The detector's gamma; raises InputError outside of GAMMAS."""
+        if not GAMMAS[0] <= gamma <= GAMMAS[1]:
+            raise InputError(f"gamma {gamma} is outside of {GAMMAS[0]:g} to {GAMMAS[1]:g}: choose one inside")
+        self._change(root, "gamma", tick, [gamma])
