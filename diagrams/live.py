@@ -11,13 +11,14 @@ import sys
 import webbrowser
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands import HandsSchedule
 from diagrams.world.names import WEIGHTS
-from diagrams.world.scenario import Scenario
+from diagrams.world.scenario import Scenario, load_world
 from models.command_line import require, require_writable, run
 from models.errors import InputError
 
@@ -30,6 +31,8 @@ class LiveArguments(Scenario):
 
     disturbance: tyro.conf.Suppress[DisturbanceSpec] = field(default_factory=DisturbanceSpec)  # yours alone
     hands: tyro.conf.Suppress[HandsSchedule] = field(default_factory=HandsSchedule)
+    # YAML file of the world, below what options say of it
+    world_file: Annotated[Path | None, tyro.conf.arg(name="world")] = None
     weights: Path = WEIGHTS  # folder of the trained networks
     speed: float = 1.0  # simulated over real time; 0: as fast as possible
     save: Path = Path("outputs/live.yaml")  # where Save, and the end, leave what was done; for pick_place.py --scenario
@@ -39,8 +42,12 @@ class LiveArguments(Scenario):
 
 
 def parse(arguments: list[str] | None = None) -> LiveArguments:
-    """The command line over the defaults."""
-    return tyro.cli(LiveArguments, args=arguments, description=__doc__)
+    """Command line over world file over defaults."""
+    cli = tyro.cli(LiveArguments, args=arguments, description=__doc__)
+    if cli.world_file is not None:
+        default = LiveArguments(world=load_world(cli.world_file))
+        cli = tyro.cli(LiveArguments, args=arguments, default=default, description=__doc__)
+    return cli
 
 
 def main(cli: LiveArguments) -> int:

@@ -113,7 +113,8 @@ class Page:
             sizing_mode="stretch_width", height=460,
             stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
         )  # fmt: skip
-        pictures = row(*(self._picture(i, title) for i, title in enumerate(("camera", "what the features say of it"))))
+        titles = "camera", run.session.second_title
+        pictures = row(*(self._picture(i, title) for i, title in enumerate(titles)))
         left = column(scene, self._message, self._controls(), sizing_mode="stretch_width", min_width=640)
         right = column(self._status, self._alpha(), self._errors(), self._joints(), row(pictures, self._desk_map()))
         return row(left, right, sizing_mode="stretch_width")

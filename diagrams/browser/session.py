@@ -41,7 +41,7 @@ class Session:
         """`weights`: folder of the networks. Raises InputError as `begin` does, WeightsError for a damaged file."""
         self._weights, self._meshcat = weights, meshcat
         self._world, self._sampler = scenario.world, EpisodeSampler(scenario.world)
-        self._decoder = Decoder(weights / DECODER)
+        self._decoder = Decoder(weights / DECODER) if (weights / DECODER).exists() else None
         self._rollouts: dict[tuple[str, str], Rollout] = {}
         self._chance = np.random.default_rng()  # of postures to move to: they are recorded, the dice are not
         self._holders: set[str] = set()
@@ -217,13 +217,20 @@ class Session:
     def pictures(self) -> tuple[np.ndarray, np.ndarray]:
         """uint8 (112, 112, 3): what the camera gives now, and what the decoder makes of what the network was fed.
 
-        That is the features of the camera's picture, and as far as alpha is above 0, of what it imagined to see.
+        That is the features of the camera's picture, and as far as alpha is above 0, of what it imagined to see; black
+        where the weights have no decoder, which `second_title` says.
         """
         if self._shown is None or self._shown[0] != self.ticks:
             port = self._hands.image
             seen = port.Eval(port.get_system().GetMyContextFromRoot(self._root)).data[:, :, :3]
-            self._shown = self.ticks, seen.copy(), self._decoder.decode(self._features)
+            said = np.zeros_like(seen) if self._decoder is None else self._decoder.decode(self._features)
+            self._shown = self.ticks, seen.copy(), said
         return self._shown[1:]
+
+    @property
+    def second_title(self) -> str:
+        """What the second of `pictures` shows."""
+        return "what the features say of it" if self._decoder else f"{DECODER} is not among the weights"
 
     def can_xy(self) -> tuple[float, float]:
         """Where the can to pick is, m, world."""
