@@ -113,7 +113,7 @@ class Page:
             sizing_mode="stretch_width", height=460,
             stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
         )  # fmt: skip
-        titles = "camera", run.session.second_title
+        titles = "camera", self._run.session.second_title
         pictures = row(*(self._picture(i, title) for i, title in enumerate(titles)))
         left = column(scene, self._message, self._controls(), sizing_mode="stretch_width", min_width=640)
         right = column(self._status, self._alpha(), self._errors(), self._joints(), row(pictures, self._desk_map()))

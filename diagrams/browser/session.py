@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diagrams.episodes.calibration import Controller, policy_file, require_named, stored_calibration
+from diagrams.episodes.calibration import controller_of, require_named, stored_calibration
 from diagrams.episodes.narrator import Narrator
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.runner import build_rollout
@@ -42,7 +42,7 @@ class Session:
         self._weights, self._meshcat = weights, meshcat
         self._world, self._sampler = scenario.world, EpisodeSampler(scenario.world)
         self._decoder = Decoder(weights / DECODER) if (weights / DECODER).exists() else None
-        self._rollouts: dict[tuple[str, str], Rollout] = {}
+        self._rollouts: dict[tuple[str, str, str | None], Rollout] = {}
         self._chance = np.random.default_rng()  # of postures to move to: they are recorded, the dice are not
         self._holders: set[str] = set()
         self.scene = 0
@@ -54,7 +54,7 @@ class Session:
         """Begins the scene of `scenario`; raises InputError, and leaves the present one, where it makes none."""
         scenario.check()
         episode = self._sampler.episode(scenario)
-        rollout = self._rollout(scenario.rnn, scenario.detector)
+        rollout = self._rollout(scenario)
         calibration = stored_calibration(scenario.detector, rollout.policy, self._weights)
         self._monitor = rollout.prepare(episode, calibration)
         self.scenario, self.rollout, self.episode = scenario, rollout, episode
@@ -86,16 +86,15 @@ class Session:
         """Begins a scene with another `seed`, `rnn` or `detector`."""
         self.begin(replace(self.scenario, **changes, hands=type(self.scenario.hands)()))
 
-    def _rollout(self, rnn: str, detector: str) -> Rollout:
-        if (rnn, detector) not in self._rollouts:
-            path = policy_file(self._weights, rnn)
-            built = build_rollout(
-                self._world, self._weights / ENCODER,
-                Controller(path, detector), meshcat=self._meshcat, hands=True,
-            )  # fmt: skip
-            require_named(built.policy, rnn, path)
-            self._rollouts[rnn, detector] = built
-        return self._rollouts[rnn, detector]
+    def _rollout(self, scenario: Scenario) -> Rollout:
+        chosen = scenario.rnn, scenario.detector, scenario.policy
+        if chosen not in self._rollouts:
+            controller = controller_of(self._weights, *chosen)
+            built = build_rollout(self._world, self._weights / ENCODER, controller, meshcat=self._meshcat, hands=True)
+            if scenario.policy is None:
+                require_named(built.policy, scenario.rnn, controller.policy)
+            self._rollouts[chosen] = built
+        return self._rollouts[chosen]
 
     @property
     def period(self) -> float:
