@@ -74,7 +74,9 @@ class CalibrateArguments:
         """Raises InputError for a value outside its choices."""
         require_writable(self.out)
         if bool(self.candidates) == (self.policy is not None):
-            raise InputError("candidates and policy: give --candidates one file or more, or give --policy")
+            raise InputError(
+                "no candidate is given, or a policy too: give --candidates one file or more, or give --policy"
+            )
         if self.policy is None and self.detector != RECALL:
             raise InputError(f"--detector {self.detector} goes with --policy: for networks run diagrams/baselines.py")
         if self.policy is not None and DETECTORS.label(self.detector) == "never":

@@ -1,4 +1,7 @@
-"""The station as a Gymnasium environment: `gymnasium.make("Hindsight/PickPlace-v0")`."""
+"""The station as a Gymnasium environment: `gymnasium.make("diagrams.episodes.gym_env:Hindsight/PickPlace-v0")`.
+
+What stands before the colon is imported first, by which the name is known; Gymnasium reads no entry points from 1.0 on.
+"""
 
 from collections import deque
 from collections.abc import Sequence
@@ -24,6 +27,8 @@ from diagrams.world.task import REST_SECONDS, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
 from systems.disturbance import Disturbance
 from systems.image_encoder import ENCODED, encoded_picture
+
+NAME = "Hindsight/PickPlace-v0"
 
 
 class Observation(LeafSystem):
@@ -221,3 +226,6 @@ class PickPlaceEnv(DrakeGymEnv):
             "success": success, "disturbed": bool(self._output("active")[0] > 0.5),
             "can_poses": self._output("can_poses").copy(), "seconds": self._ticks * self._world.timing.period,
         }  # fmt: skip
+
+
+gymnasium.register(NAME, entry_point=f"{__name__}:PickPlaceEnv")

@@ -116,8 +116,8 @@ def train_recall(options: RecallOptions) -> list[Path]:
     for given in options.policy:
         path = Path(given)
         prepare(options)  # the same heads for a candidate whether others came before it or not
-        if ":" in given and not path.exists():
-            written.append(train_own(options, given, encoder, demos))
+        if ":" in str(given) and not path.exists():
+            written.append(train_own(options, str(given), encoder, demos))
             continue
         policy = load_policy(path)
         if policy.encoder_hash != encoder.hash:

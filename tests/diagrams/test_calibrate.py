@@ -35,7 +35,7 @@ def candidates(tmp_path):
 def arguments(paths, **changes):
     root = paths[0].parent
     given = CalibrateArguments(
-        paths, root / "out" / "lstm.onnx", encoder=root / "weights" / "encoder.onnx", episodes=6, runs=30, disturbed=4,
+        root / "out" / "lstm.onnx", paths, encoder=root / "weights" / "encoder.onnx", episodes=6, runs=30, disturbed=4,
         kept=root / "kept", workers=0,
     )  # fmt: skip
     return replace(given, **changes)
