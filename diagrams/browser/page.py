@@ -88,8 +88,8 @@ class Page:
         drawn = CustomJS(args={"sent": self._sent, "drawn": self._drawn}, code=DRAWN)
         self._sent.js_on_change("data", drawn)
         document.js_on_event("document_ready", drawn)  # what came with the page itself
-        document.add_root(self._sent)
-        document.add_root(self._drawn)
+        for source in (self._hand, self._sent, self._drawn):  # else no model of the document has them
+            document.add_root(source)
         document.on_session_destroyed(lambda _: self._hold(False))
         document.add_periodic_callback(self._update, UPDATE_MS)
 
@@ -244,14 +244,10 @@ class Page:
             row(*place, put),
             camera,
             row(self._pause, button("One tick", run.single, "single"), button("Next scene", run.next_scene, "next"),
-                button("Save", self._save, "save"), speed),
+                button("Save", run.save, "save"), speed),
             row(*self._chosen.values()),
             self._events,
         )  # fmt: skip
-
-    def _save(self) -> None:
-        self._events.text = f"written: {html.escape(str(self._run.save()))}"
-        self._told = ""
 
     def _show_choices(self) -> None:
         """What runs, in the fields, where another page or the next scene has changed it."""

@@ -20,7 +20,7 @@ FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
-PATIENCE = 300.0  # s; a few on a free machine
+PATIENCE = 100.0  # s; a few on a free machine
 NEWEST = "Array.from(Bokeh.documents[0].get_model_by_name('live').data.alpha).at(-1)"
 
 
