@@ -103,6 +103,7 @@ class Page:
             self._message.text = ""
         except InputError as error:
             self._message.text = html.escape(str(error))
+            self._show_choices()
 
     # What is drawn.
 
