@@ -22,12 +22,13 @@ from bokeh.models import (
     Slider,
     Span,
     TextInput,
+    Title,
 )
 from bokeh.palettes import Category10_7
 from bokeh.plotting import figure
 
 from diagrams.browser.run import Run
-from diagrams.browser.session import KEPT_ROWS
+from diagrams.browser.session import KEPT_ROWS, TASK
 from diagrams.world.hands import LARGEST_FORCE
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
@@ -61,6 +62,7 @@ window.addEventListener('blur', () => hold(0))
 document.addEventListener('visibilitychange', () => hold(0))
 """
 # A browser is sent nothing new before it has drawn the last: a slow one sees fewer updates, not old ones.
+SEEN, IMAGINED = "what the features say of it", "what it imagines to see"
 NEVER = -1_000_000  # tick of a picture that was not drawn yet
 DRAWN = "requestAnimationFrame(() => setTimeout(() => { drawn.data = {update: [sent.data.update[0]]} }))"
 STYLE = ":host { font-size: 13px; } .bk-btn { font-size: 13px; }"
@@ -114,9 +116,9 @@ class Page:
             sizing_mode="stretch_width", height=460,
             stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
         )  # fmt: skip
-        pictures = row(*(self._picture(i, title) for i, title in enumerate(("camera", "what the features say of it"))))
+        self._views = [self._picture(i, title) for i, title in enumerate(("camera", SEEN))]
         left = column(scene, self._message, self._controls(), sizing_mode="stretch_width", min_width=640)
-        right = column(self._status, self._alpha(), self._errors(), self._joints(), row(pictures, self._desk_map()))
+        right = column(self._status, self._alpha(), self._errors(), self._joints(), row(*self._views, self._desk_map()))
         return row(left, right, sizing_mode="stretch_width")
 
     def _plot(self, height: int, label: str, y_range, **options):
@@ -137,7 +139,7 @@ class Page:
         return plot
 
     def _errors(self):
-        plot = self._plot(140, "errors / gamma", Range1d(1e-3, 1e3), y_axis_type="log")
+        plot = self._plot(140, "errors / gamma", Range1d(1e-3, 1e5), y_axis_type="log")
         plot.line("time", "first", source=self._live, color="#8888dd", legend_label="of the prediction")
         plot.line("time", "worst", source=self._live, color="black", line_width=2, legend_label="the largest")
         plot.add_layout(Span(location=1.0, dimension="width", line_dash="dashed", line_color="crimson"))
@@ -312,6 +314,7 @@ class Page:
             self._pictured = session.ticks
             for source, picture in zip(self._images, session.pictures(), strict=True):
                 source.data = {"image": [_rgba(picture)]}
+            self._put(self._views[1].title, SEEN if session.mode == TASK else IMAGINED)
             x, y = session.can_xy()
             self._desk.data = {"x": [x], "y": [y]}
         if (self._seen, self._pictured) != before:
@@ -326,9 +329,9 @@ class Page:
             self._pause.label = label
 
     @staticmethod
-    def _put(div: Div, text: str) -> None:
-        if div.text != text:
-            div.text = text
+    def _put(shown: Div | Title, text: str) -> None:
+        if shown.text != text:
+            shown.text = text
 
 
 def _rgba(picture: np.ndarray) -> np.ndarray:
