@@ -37,7 +37,7 @@ class LiveArguments(Scenario):
     speed: float = 1.0  # simulated over real time; 0: as fast as possible
     save: Path = Path("outputs/live.yaml")  # where Save, and the end, leave what was done; for pick_place.py --scenario
     port: int = 5006  # of the page
-    meshcat_port: int = 7000  # of the 3-D view in it
+    meshcat_port: int | None = None  # of the 3-D view in it; else a free one
     open: bool = True  # the page in a browser, where there is a display
 
 
@@ -57,7 +57,7 @@ def main(cli: LiveArguments) -> int:
     if not 0.0 <= cli.speed < float("inf"):
         raise InputError(f"the speed {cli.speed} is negative or not finite: choose 0 (as fast as possible) or more")
     for name, port in (("port", cli.port), ("meshcat-port", cli.meshcat_port)):
-        if port not in PORTS:
+        if port is not None and port not in PORTS:
             raise InputError(f"--{name} {port} is no port that can be had: choose from {PORTS[0]} to {PORTS[-1]}")
     require_writable(cli.save)
     print("loading the networks and building the diagram ...", flush=True)

@@ -22,12 +22,13 @@ from bokeh.models import (
     Slider,
     Span,
     TextInput,
+    Title,
 )
 from bokeh.palettes import Category10_7
 from bokeh.plotting import figure
 
 from diagrams.browser.run import Run
-from diagrams.browser.session import KEPT_ROWS
+from diagrams.browser.session import KEPT_ROWS, TASK
 from diagrams.world.hands import LARGEST_FORCE
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
@@ -88,8 +89,8 @@ class Page:
         drawn = CustomJS(args={"sent": self._sent, "drawn": self._drawn}, code=DRAWN)
         self._sent.js_on_change("data", drawn)
         document.js_on_event("document_ready", drawn)  # what came with the page itself
-        document.add_root(self._sent)
-        document.add_root(self._drawn)
+        for source in (self._hand, self._sent, self._drawn):  # else no model of the document has them
+            document.add_root(source)
         document.on_session_destroyed(lambda _: self._hold(False))
         document.add_periodic_callback(self._update, UPDATE_MS)
 
@@ -103,6 +104,7 @@ class Page:
             self._message.text = ""
         except InputError as error:
             self._message.text = html.escape(str(error))
+            self._show_choices()
 
     # What is drawn.
 
@@ -114,9 +116,9 @@ class Page:
             stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
         )  # fmt: skip
         titles = "camera", self._run.session.second_title
-        pictures = row(*(self._picture(i, title) for i, title in enumerate(titles)))
+        self._views = [self._picture(i, title) for i, title in enumerate(titles)]
         left = column(scene, self._message, self._controls(), sizing_mode="stretch_width", min_width=640)
-        right = column(self._status, self._alpha(), self._errors(), self._joints(), row(pictures, self._desk_map()))
+        right = column(self._status, self._alpha(), self._errors(), self._joints(), row(*self._views, self._desk_map()))
         return row(left, right, sizing_mode="stretch_width")
 
     def _plot(self, height: int, label: str, y_range, **options):
@@ -137,7 +139,7 @@ class Page:
         return plot
 
     def _errors(self):
-        plot = self._plot(140, "errors / gamma", Range1d(1e-3, 1e3), y_axis_type="log")
+        plot = self._plot(140, "errors / gamma", Range1d(1e-3, 1e5), y_axis_type="log")
         plot.line("time", "first", source=self._live, color="#8888dd", legend_label="of the prediction")
         plot.line("time", "worst", source=self._live, color="black", line_width=2, legend_label="the largest")
         plot.add_layout(Span(location=1.0, dimension="width", line_dash="dashed", line_color="crimson"))
@@ -245,14 +247,10 @@ class Page:
             row(*place, put),
             camera,
             row(self._pause, button("One tick", run.single, "single"), button("Next scene", run.next_scene, "next"),
-                button("Save", self._save, "save"), speed),
+                button("Save", run.save, "save"), speed),
             row(*self._chosen.values()),
             self._events,
         )  # fmt: skip
-
-    def _save(self) -> None:
-        self._events.text = f"written: {html.escape(str(self._run.save()))}"
-        self._told = ""
 
     def _show_choices(self) -> None:
         """What runs, in the fields, where another page or the next scene has changed it."""
@@ -316,6 +314,7 @@ class Page:
             self._pictured = session.ticks
             for source, picture in zip(self._images, session.pictures(), strict=True):
                 source.data = {"image": [_rgba(picture)]}
+            self._put(self._views[1].title, session.second_title)
             x, y = session.can_xy()
             self._desk.data = {"x": [x], "y": [y]}
         if (self._seen, self._pictured) != before:
@@ -330,9 +329,9 @@ class Page:
             self._pause.label = label
 
     @staticmethod
-    def _put(div: Div, text: str) -> None:
-        if div.text != text:
-            div.text = text
+    def _put(shown: Div | Title, text: str) -> None:
+        if shown.text != text:
+            shown.text = text
 
 
 def _rgba(picture: np.ndarray) -> np.ndarray:

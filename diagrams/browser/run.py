@@ -22,7 +22,7 @@ class Run:
     def __init__(self, session: Session, speed: float, save: Path):
         """`speed`: simulated over real time, 0: the fastest; `save`: file of `save`."""
         self.session, self.pace, self.paused = session, Pace(session.period, speed), False
-        self._save, self._saved = save, (0, 0)
+        self._save = save
 
     def work(self) -> float:
         """Runs what is due; returns how long it is until there is more, s."""
@@ -57,7 +57,7 @@ class Run:
         self.pace.rest()
 
     def next_scene(self) -> None:
-        """Saves the scene if something was done in it and nobody else saved it, and begins the next one."""
+        """Begins the next scene."""
         self.session.next_scene()
         self.pause(False)
 
@@ -69,6 +69,7 @@ class Run:
     def save(self) -> Path:
         """Writes the scene as it was played so far; returns where."""
         self.session.save(self._save)
+        self.session.events.append((self.session.seconds, f"written: {self._save}"))
         return self._save
 
     @property

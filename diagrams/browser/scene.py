@@ -5,8 +5,8 @@ from pydrake.geometry import Meshcat, MeshcatParams
 from models.errors import InputError
 
 
-def open_scene(port: int) -> Meshcat:
-    """Meshcat at that port, on this machine alone; raises InputError where the port cannot be had."""
+def open_scene(port: int | None) -> Meshcat:
+    """Meshcat at that port, or at a free one, on this machine alone; raises InputError where it cannot be had."""
     try:
         meshcat = Meshcat(MeshcatParams(host="localhost", port=port, show_stats_plot=False))
     except RuntimeError as error:

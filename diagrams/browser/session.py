@@ -41,7 +41,6 @@ class Session:
         """`weights`: folder of the networks. Raises InputError as `begin` does, WeightsError for a damaged file."""
         self._weights, self._meshcat = weights, meshcat
         self._world, self._sampler = scenario.world, EpisodeSampler(scenario.world)
-        self._decoder = Decoder(weights / DECODER) if (weights / DECODER).exists() else None
         self._rollouts: dict[tuple[str, str, str | None], Rollout] = {}
         self._chance = np.random.default_rng()  # of postures to move to: they are recorded, the dice are not
         self._holders: set[str] = set()
@@ -49,6 +48,7 @@ class Session:
         self.rows: deque[dict] = deque(maxlen=KEPT_ROWS)
         self.events: deque[tuple[float, str]] = deque(maxlen=KEPT_EVENTS)
         self.begin(scenario)
+        self._decoder = Decoder(weights / DECODER) if (weights / DECODER).exists() else None
 
     def begin(self, scenario: Scenario) -> None:
         """Begins the scene of `scenario`; raises InputError, and leaves the present one, where it makes none."""
@@ -229,7 +229,9 @@ class Session:
     @property
     def second_title(self) -> str:
         """What the second of `pictures` shows."""
-        return "what the features say of it" if self._decoder else f"{DECODER} is not among the weights"
+        if self._decoder is None:
+            return f"{DECODER} is not among the weights"
+        return "what the features say of it" if self.mode == TASK else "what it imagines to see"
 
     def can_xy(self) -> tuple[float, float]:
         """Where the can to pick is, m, world."""
