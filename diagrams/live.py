@@ -16,7 +16,7 @@ from typing import Annotated
 import tyro
 
 from diagrams.world.disturbance import DisturbanceSpec
-from diagrams.world.hands import HandsSchedule
+from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import Scenario, load_world
 from models.command_line import require, require_writable, run

@@ -28,7 +28,7 @@ from bokeh.palettes import Category10_7
 from bokeh.plotting import figure
 
 from diagrams.browser.run import Run
-from diagrams.browser.session import KEPT_ROWS, TASK
+from diagrams.browser.session import KEPT_ROWS
 from diagrams.world.hands import LARGEST_FORCE
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError

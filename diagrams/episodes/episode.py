@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass, field
 
 from diagrams.world.disturbance import DisturbanceSpec
-from diagrams.world.hands import HandsSchedule
+from diagrams.world.hands_schedule import HandsSchedule
 
 DIVERGED = "simulation diverged"  # a failure of the task and of the switching
 

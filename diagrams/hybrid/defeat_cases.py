@@ -14,6 +14,7 @@ from diagrams.episodes.runner import Job, run_branched, run_episode
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.severity import severity
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ARM_JOINTS
 
 
@@ -47,7 +48,11 @@ class Case:
     def of_row(cls, row: dict[str, Any]) -> Self:
         """From a row of the store: what `asdict` made of a case."""
         given = row["episode"]
-        changed = {"can_xy": tuple(given["can_xy"]), "disturbance": DisturbanceSpec(**given["disturbance"])}
+        changed = {
+            "can_xy": tuple(given["can_xy"]),
+            "disturbance": DisturbanceSpec(**given["disturbance"]),
+            "hands": HandsSchedule(**given["hands"]),
+        }
         return cls(**row | {"episode": Episode(**given | changed)})
 
 

@@ -1,13 +1,11 @@
 """A person's hands in the diagram: what they did, tick by tick, and the systems that do it again."""
 
-import math
-from dataclasses import dataclass, field
-
 import numpy as np
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import Adder
 
 from diagrams.world.configuration import World
+from diagrams.world.hands_schedule import INITIAL, HandsSchedule
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation
 from models.errors import InputError
@@ -21,49 +19,6 @@ from systems.signal_schedule import SignalSchedule
 HELD_TICKS = 10  # at the posture to which the arm was moved, as of disturbance A
 LARGEST_FORCE = 60.0  # N, a component of a pull at the hand
 GAMMAS = 1.0, 10_000.0  # smallest and largest that can be chosen
-# By the names of HandsSchedule, the values before the first change.
-INITIAL = {
-    "grip": [FREE] + [0.0] * ARM_JOINTS, "force": [0.0] * 3, "can": [math.nan] * 2, "camera": [0.0],
-    "gamma": [math.nan],
-}  # fmt: skip
-
-
-@dataclass
-class HandsSchedule:
-    """What a person did in a run: rows of the tick from which on something holds, and its values. Ticks rise."""
-
-    grip: list[list[float]] = field(default_factory=list)  # 0 free, 1 held, 2 moved to the joint angles (rad) after it
-    force: list[list[float]] = field(default_factory=list)  # x, y, z at the hand, N, world
-    can: list[list[float]] = field(default_factory=list)  # in that tick alone, x and y where it is put, m, world
-    camera: list[list[float]] = field(default_factory=list)  # place in systems.camera_fault.FAULTS
-    gamma: list[list[float]] = field(default_factory=list)  # of the detector, instead of its own
-
-    def __bool__(self) -> bool:
-        """Whether anything was done."""
-        return any(vars(self).values())
-
-    @property
-    def last_tick(self) -> int:
-        """The last tick at which something changed; 0: nothing ever did."""
-        return int(max((rows[-1][0] for rows in vars(self).values() if rows), default=0))
-
-    def check(self) -> None:
-        """Raises InputError for rows that are no changes."""
-        for name, rows in vars(self).items():
-            before = -1.0
-            for row in rows:
-                if len(row) != 1 + len(INITIAL[name]) or not np.all(np.isfinite(row)):
-                    wanted = f"a tick and {len(INITIAL[name])} finite numbers"
-                    raise InputError(f"hands.{name} has the row {row}: give {wanted}")
-                if row[0] != int(row[0]) or row[0] <= before:
-                    raise InputError(f"hands.{name} has the tick {row[0]} after {before}: give whole ones that rise")
-                before = row[0]
-        for name, allowed in (("grip", (FREE, HOLD, MOVE)), ("camera", range(len(FAULTS)))):
-            for row in getattr(self, name):
-                if row[1] not in allowed:
-                    raise InputError(f"hands.{name} has the kind {row[1]}: choose from {[int(k) for k in allowed]}")
-        if any(row[1] <= 0.0 for row in self.gamma):
-            raise InputError("hands.gamma has a value that is not greater than 0: give one that is")
 
 
 class Hands:

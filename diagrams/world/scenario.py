@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
-from diagrams.world.hands import HandsSchedule
+from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import SPOTS
 from models.errors import InputError
 from models.networks import network_label

@@ -6,7 +6,8 @@ import pytest
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import record_hash
 from diagrams.episodes.rollout import Rollout
-from diagrams.world.hands import HELD_TICKS, HandsSchedule
+from diagrams.world.hands import HELD_TICKS
+from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.scenario import Scenario, load_scenario, save_scenario
 from models.errors import InputError
@@ -25,7 +26,7 @@ def run(rollout, policy, schedule=None, seconds=3.0):
     episode = Episode(0, CAN, "left", hands=schedule or HandsSchedule())
     policy.learn(episode)
     # The limit is counted from the last that the hands did.
-    return rollout.run(episode, time_limit=seconds - 0.1 * episode.hands.last_tick, pictures=True)[1]
+    return rollout.run(episode, time_limit=seconds - 0.1 * episode.hands.last_tick, picture_every=5)[1]
 
 
 @pytest.fixture(scope="module")
