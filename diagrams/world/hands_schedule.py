@@ -7,7 +7,6 @@ import numpy as np
 
 from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
-from systems.camera_fault import FAULTS
 from systems.manual_disturbance import FREE, HOLD, MOVE
 
 # By the names of HandsSchedule, the values before the first change.
@@ -47,9 +46,16 @@ class HandsSchedule:
                 if row[0] != int(row[0]) or row[0] <= before:
                     raise InputError(f"hands.{name} has the tick {row[0]} after {before}: give whole ones that rise")
                 before = row[0]
-        for name, allowed in (("grip", (FREE, HOLD, MOVE)), ("camera", range(len(FAULTS)))):
+        for name, allowed in (("grip", (FREE, HOLD, MOVE)), ("camera", range(_faults() if self.camera else 0))):
             for row in getattr(self, name):
                 if row[1] not in allowed:
                     raise InputError(f"hands.{name} has the kind {row[1]}: choose from {[int(k) for k in allowed]}")
         if any(row[1] <= 0.0 for row in self.gamma):
             raise InputError("hands.gamma has a value that is not greater than 0: give one that is")
+
+
+def _faults() -> int:
+    """How many faults a camera may have. Not imported above: it loads Drake's plant, before any words."""
+    from systems.camera_fault import FAULTS
+
+    return len(FAULTS)
