@@ -14,11 +14,12 @@ from diagrams.world.configuration import World
 from models.policy import Decision, Policy, Seen
 
 FILE = "CLONED_POLICY"  # the environment variable that names it
+AHEAD, STILL = 3, 0.004  # ticks, rad
 JOINTS = np.append(np.ones(7), 0.0)  # are predicted by their step, the opening itself
 
 
 class Cloned(Policy):
-    """Two layers of tanh; answers with the next posture."""
+    """Two layers of tanh; answers with a posture of the next ticks."""
 
     name = "cloned"
 
@@ -37,7 +38,7 @@ class Cloned(Policy):
         return Decision(self.scaling.unscale(JOINTS * self.scaling.scale(seen.posture) + step))
 
 
-def train(data: Path, file: Path, encoder, updates: int = 20_000, hidden: int = 256) -> None:
+def train(data: Path, file: Path, encoder, updates: int = 15_000, hidden: int = 256) -> None:
     """Clones the demonstrations in `data` (teach.py), seen by `encoder`, into `file`."""
     import torch
 
@@ -50,9 +51,17 @@ def train(data: Path, file: Path, encoder, updates: int = 20_000, hidden: int = 
     frames = iterate_frames(data, [demo.name for demo in demos])
     rows = []
     for demo, rgb in zip(demos, frames, strict=True):
-        kept = np.concatenate([np.arange(*ticks) for ticks in subtask_ranges(demo)])
-        postures = scaling.scale(demo.posture)[kept], scaling.scale(demo.actions)[kept]
-        rows.append(np.hstack((*postures, encoder.encode_batch(rgb[kept]))))
+        features = encoder.encode_batch(rgb)
+        for start, stop in subtask_ranges(demo):
+            # The posture AHEAD: what answers with the next one stalls where the teacher was slow. Where he stood still
+            # is left out, but for the fingers, and for the rest at the end.
+            now = np.arange(start, stop)
+            wanted = demo.actions[np.minimum(now + AHEAD - 1, stop - 1)].copy()
+            moves = np.abs(wanted - demo.actions[now])[:, :7].max(axis=1) > STILL
+            wanted[:, 7] = demo.actions[now, 7]
+            kept = moves | (wanted[:, 7] != demo.posture[now, 7]) | (now > stop - 14)
+            pairs_of = scaling.scale(demo.posture[now]), scaling.scale(wanted), features[now]
+            rows.append(np.hstack(pairs_of)[kept])
     pairs = torch.from_numpy(np.concatenate(rows)).float()
     joints = torch.from_numpy(JOINTS).float()
     sizes = (pairs.shape[1] - 8, hidden, hidden, 8)
@@ -63,7 +72,7 @@ def train(data: Path, file: Path, encoder, updates: int = 20_000, hidden: int = 
     for _ in range(updates):
         posture, action, features = pairs[torch.randint(len(pairs), (512,))].split((8, 8, sizes[0] - 8), 1)
         # Beside the path, it comes back to it; the hand's opening is a command, which is one of two.
-        posture = posture + 0.04 * torch.randn_like(posture) * joints
+        posture = posture + 0.06 * torch.rand(len(posture), 1) * torch.randn_like(posture) * joints
         h = torch.cat((posture, features + 0.1 * torch.randn_like(features)), 1)
         for layer in layers[:-1]:
             h = torch.tanh(layer(h))
