@@ -1,6 +1,7 @@
 """The page: what is drawn of a Session, and its widgets. One Bokeh document a browser, all of one session."""
 
 import html
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -75,6 +76,7 @@ class Page:
         """`scene_url`: of Meshcat."""
         self._document, self._run, self._name = document, run, document.session_context.id
         self._seen, self._pictured, self._told = (0, 0), NEVER, ""
+        self._newest: float | None = None  # when the last tick of what is being drawn was run
         self._live = ColumnDataSource({name: [] for name in COLUMNS}, name=LIVE)
         self._hand = ColumnDataSource({"hold": [0]}, name=HAND)
         self._sent, self._drawn = (ColumnDataSource({"update": [0]}, name=name) for name in ("sent", "drawn"))
@@ -92,6 +94,7 @@ class Page:
         document.js_on_event("document_ready", drawn)  # what came with the page itself
         for source in (self._hand, self._sent, self._drawn):  # else no model of the document has them
             document.add_root(source)
+        self._drawn.on_change("data", lambda _a, _o, _n: self._was_drawn())
         document.on_session_destroyed(lambda _: self._hold(False))
         document.add_periodic_callback(self._update, UPDATE_MS)
 
@@ -289,6 +292,10 @@ class Page:
     def _choose(self, **changes) -> None:
         self._run.choose(**changes)
 
+    def _was_drawn(self) -> None:
+        if self._newest is not None:
+            self._run.delays.add(time.time() - self._newest)
+
     # What is new.
 
     def _update(self) -> None:
@@ -318,6 +325,7 @@ class Page:
             x, y = session.can_xy()
             self._desk.data = {"x": [x], "y": [y]}
         if (self._seen, self._pictured) != before:
+            self._newest = None if run.paused else session.rows[-1]["wall"]
             self._sent.data = {"update": [self._sent.data["update"][0] + 1]}
         self._put(self._status, run.words())
         events = "<br>".join(html.escape(f"{seconds:6.1f} s  {what}") for seconds, what in reversed(session.events))
