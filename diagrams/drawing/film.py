@@ -37,23 +37,28 @@ GREEN, RED, ORANGE = (47, 133, 90), (197, 48, 48), (221, 107, 32)
 
 
 def save_film(record: Record, world: World, path: Path) -> None:
-    """Writes the ticks around the disturbance of `record`, or all of an undisturbed one, to `path`, see FILM_FORMATS.
-
-    In the time of the run. `world`: that it was made in.
-    """
-    stage, ticks = _Stage(world), _ticks(record, world.timing.period)
-    imagined = record.posture + record.rnn_step + record.regulator_step  # m^R_{k+1}
-    frames = []
-    for k in ticks:
-        gap = record.posture[k, -1]
-        if held(record.can_poses[k], record.posture[k], world.opening):
-            gap = max(gap, 2 * CAN_RADIUS)  # the closed fingers stall on it
-        picture = stage.picture(np.append(record.posture[k, :-1], gap), imagined[max(k - 1, 0)], record.can_poses[k])
-        frames.append(Image.fromarray(_captioned(picture, record.alpha[k], bool(record.active[k] > 0.5))))
+    """Writes `film_frames` to `path`, see FILM_FORMATS, in the time of the run."""
+    frames = [Image.fromarray(frame) for frame in film_frames(record, world)]
     path.parent.mkdir(parents=True, exist_ok=True)
     length = round(1000 * world.timing.period)
     options = {"quality": QUALITY, "method": 4} if path.suffix == ".webp" else {"optimize": True}
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=length, loop=0, **options)
+
+
+def film_frames(record: Record, world: World) -> list[np.ndarray]:
+    """uint8 (h, w, 3) each: the ticks around the disturbance of `record`, or all of an undisturbed one.
+
+    `world`: that the record was made in. Raises InputError without a renderer.
+    """
+    stage, frames = _Stage(world), []
+    imagined = record.posture + record.rnn_step + record.regulator_step  # m^R_{k+1}
+    for k in _ticks(record, world.timing.period):
+        gap = record.posture[k, -1]
+        if held(record.can_poses[k], record.posture[k], world.opening):
+            gap = max(gap, 2 * CAN_RADIUS)  # the closed fingers stall on it
+        picture = stage.picture(np.append(record.posture[k, :-1], gap), imagined[max(k - 1, 0)], record.can_poses[k])
+        frames.append(_captioned(picture, record.alpha[k], bool(record.active[k] > 0.5)))
+    return frames
 
 
 def _ticks(record: Record, period: float) -> range:
