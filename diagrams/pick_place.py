@@ -47,6 +47,7 @@ class PickPlaceArguments(Scenario):
     plot: Path = Path("outputs/timeline.png")  # postures, both controllers' steps and alpha over time
     graphviz: Path = Path("outputs/diagram.svg")  # the diagram: .dot, .svg or .png
     video: Path | None = None  # .mp4 of a camera that sees the whole arm
+    film: Path | None = None  # .webp or .gif of the arm and what it imagines, around the disturbance
     json: Path | None = None  # the outcome
     record: Path | None = None  # .npz of every tick, with pictures, for figures.py and analysis.py
     mcap: Path | None = None  # .mcap of every tick, for Foxglove, Rerun and PlotJuggler
@@ -77,7 +78,7 @@ def main(cli: PickPlaceArguments) -> int:
     from pydrake.geometry import Meshcat, MeshcatParams
     from tqdm import tqdm
 
-    from diagrams.drawing import PLOT_FORMATS
+    from diagrams.drawing import FILM_FORMATS, PLOT_FORMATS
     from diagrams.drawing.graph import FORMATS as GRAPH_FORMATS
     from diagrams.drawing.graph import save_graph
     from diagrams.episodes.calibration import controller_of, require_named, stored_calibration
@@ -88,7 +89,7 @@ def main(cli: PickPlaceArguments) -> int:
 
     formats = {
         cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
-        cli.json: (".json",), cli.record: (".npz",), cli.mcap: (".mcap",),
+        cli.film: FILM_FORMATS, cli.json: (".json",), cli.record: (".npz",), cli.mcap: (".mcap",),
     }  # fmt: skip
     written = [path for path in formats if path is not None]
     for path in written:
@@ -148,7 +149,15 @@ def main(cli: PickPlaceArguments) -> int:
 
         save_timeline(record, cli.plot, title)
 
+    def draw_film() -> None:
+        from diagrams.drawing.film import save_film
+
+        assert cli.film is not None
+        save_film(record, cli.world, cli.film)
+
     _draw("timeline", draw_timeline)
+    if cli.film is not None:
+        _draw("film", draw_film)
     _draw("diagram", lambda: save_graph(rollout.diagram, cli.graphviz))
     stages = {"picked": outcome.picked, "placed": outcome.placed, "at the initial posture": outcome.home}
     print(f"task {word}: " + ", ".join(f"{stage} {'yes' if reached else 'no'}" for stage, reached in stages.items()))

@@ -48,6 +48,8 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /iiwa/s/models\/weights\/(encoder|lstm)\.onnx/models\/weights\/iiwa\/\1.onnx/g
 /baselines\.py/s/lstm\*\.onnx/lstm.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
+# The page runs until Ctrl-C.
+s/python diagrams\/live\.py/timeout --preserve-status -s INT 20 python diagrams\/live.py --no-open/
 # Analyses: small samples.
 /analysis\.py return/s/$/ --samples 20 --draws 5/
 /analysis\.py resume/s/$/ --starts 15 --runs 2/

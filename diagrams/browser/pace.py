@@ -2,8 +2,27 @@
 
 import numpy as np
 
-BINS = np.arange(0.0, 1.0001, 0.0005)  # s: of the histogram of the ticks' lengths; what is longer counts as 1 s
+BINS = np.arange(0.0, 1.0001, 0.0005)  # s: of the histograms; what is longer counts as 1 s
 RECENT = 100  # ticks
+
+
+class Lengths:
+    """A histogram of times (s): its quantiles, in memory that does not grow."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(len(BINS), int)
+
+    def add(self, seconds: float) -> None:
+        """One more."""
+        self._counts[np.searchsorted(BINS, min(max(seconds, 0.0), BINS[-1]), side="right") - 1] += 1
+
+    def __len__(self) -> int:
+        return int(self._counts.sum())
+
+    def quantile(self, share: float) -> float:
+        """To half a millisecond above; 0 where there is none."""
+        whole = np.cumsum(self._counts)
+        return float(BINS[min(np.searchsorted(whole, share * whole[-1]) + 1, len(BINS) - 1)]) if whole[-1] else 0.0
 
 
 class Pace:
@@ -13,7 +32,7 @@ class Pace:
         """`period`: of the ticks in simulated time; `speed`: simulated over real; 0: as fast as can be."""
         self._period, self.speed = period, speed
         self._due: float | None = None
-        self._lengths = np.zeros(len(BINS), int)
+        self.lengths = Lengths()  # of the ticks
         self._recent = np.zeros(RECENT, bool)
         self.ticks = self.late = self._paced = 0
 
@@ -32,7 +51,7 @@ class Pace:
 
     def ran(self, began: float, ended: float) -> None:
         """A tick was run from `began` to `ended`. It is late if it ended after the next one was due."""
-        self._lengths[np.searchsorted(BINS, min(ended - began, BINS[-1]), side="right") - 1] += 1
+        self.lengths.add(ended - began)
         self.ticks += 1
         if not self.speed:
             return
@@ -48,17 +67,12 @@ class Pace:
         """Share of the last ticks that were late."""
         return float(self._recent.mean())
 
-    def length(self, share: float) -> float:
-        """The quantile `share` of the ticks' lengths, to half a millisecond above."""
-        whole = np.cumsum(self._lengths)
-        return float(BINS[min(np.searchsorted(whole, share * whole[-1]) + 1, len(BINS) - 1)])
-
     def words(self) -> str:
         """All of it, in a line."""
         if not self.ticks:
             return "no tick was run"
         late = f"{self.late} of {self._paced} paced ticks late ({100 * self.late / max(self._paced, 1):.1f} %)"
         return (
-            f"{self.ticks} ticks; {late}; a tick takes {1e3 * self.length(0.5):.1f} ms in the median, "
-            f"{1e3 * self.length(0.99):.1f} ms at 99 %"
+            f"{self.ticks} ticks; {late}; a tick takes {1e3 * self.lengths.quantile(0.5):.1f} ms in the median, "
+            f"{1e3 * self.lengths.quantile(0.99):.1f} ms at 99 %"
         )

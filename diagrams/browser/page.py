@@ -1,32 +1,26 @@
 """The page: what is drawn of a Session, and its widgets. One Bokeh document a browser, all of one session."""
 
 import html
+import time
 from collections.abc import Callable
 
 import numpy as np
 from bokeh.document import Document
-from bokeh.events import Tap
 from bokeh.layouts import column, row
 from bokeh.models import (
     Button,
     ColumnDataSource,
     CustomJS,
-    DataRange1d,
     Div,
     InlineStyleSheet,
-    Legend,
-    LegendItem,
     RadioButtonGroup,
-    Range1d,
     Select,
     Slider,
-    Span,
     TextInput,
     Title,
 )
-from bokeh.palettes import Category10_7
-from bokeh.plotting import figure
 
+from diagrams.browser.plots import alpha_plot, desk_map, errors_plot, joints_plot, picture_plot, rgba
 from diagrams.browser.run import Run
 from diagrams.browser.session import KEPT_ROWS
 from diagrams.world.hands import LARGEST_FORCE
@@ -34,10 +28,8 @@ from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
 from models.networks import NETWORKS
 from systems.camera_fault import FAULTS
-from systems.detector import GUARD
 from systems.detectors import DETECTORS
 
-SHOWN_SECONDS = 20.0  # of the plots
 UPDATE_MS = 50  # between two looks at the session
 SPEEDS = {"a quarter": 0.25, "half": 0.5, "real time": 1.0, "2 times": 2.0, "5 times": 5.0, "the fastest": 0.0}
 COLUMNS = (
@@ -74,6 +66,7 @@ class Page:
         """`scene_url`: of Meshcat."""
         self._document, self._run, self._name = document, run, document.session_context.id
         self._seen, self._pictured, self._told = (0, 0), NEVER, ""
+        self._newest: float | None = None  # when the last tick of what is being drawn was run
         self._live = ColumnDataSource({name: [] for name in COLUMNS}, name=LIVE)
         self._hand = ColumnDataSource({"hold": [0]}, name=HAND)
         self._sent, self._drawn = (ColumnDataSource({"update": [0]}, name=name) for name in ("sent", "drawn"))
@@ -91,6 +84,7 @@ class Page:
         document.js_on_event("document_ready", drawn)  # what came with the page itself
         for source in (self._hand, self._sent, self._drawn):  # else no model of the document has them
             document.add_root(source)
+        self._drawn.on_change("data", lambda _a, _o, _n: self._was_drawn())
         document.on_session_destroyed(lambda _: self._hold(False))
         document.add_periodic_callback(self._update, UPDATE_MS)
 
@@ -115,77 +109,21 @@ class Page:
             sizing_mode="stretch_width", height=460,
             stylesheets=[InlineStyleSheet(css=".bk-clearfix { width: 100%; height: 100%; }")],
         )  # fmt: skip
+        desk = desk_map(self._desk, *self._run.session.bounds(), self._put_can)
         titles = "camera", self._run.session.second_title
-        self._views = [self._picture(i, title) for i, title in enumerate(titles)]
+        self._views = [picture_plot(*each) for each in zip(self._images, titles, strict=True)]
         left = column(scene, self._message, self._controls(), sizing_mode="stretch_width", min_width=640)
-        right = column(self._status, self._alpha(), self._errors(), self._joints(), row(*self._views, self._desk_map()))
+        right = column(
+            self._status,
+            *(plot(self._live) for plot in (alpha_plot, errors_plot, joints_plot)),
+            row(*self._views, desk),
+        )
         return row(left, right, sizing_mode="stretch_width")
 
-    def _plot(self, height: int, label: str, y_range, **options):
-        follow = DataRange1d(follow="end", follow_interval=SHOWN_SECONDS, range_padding=0.0)
-        made = figure(
-            height=height, width=640, x_range=follow, y_range=y_range, y_axis_label=label, toolbar_location=None,
-            output_backend="canvas", **options,
-        )  # fmt: skip
-        made.min_border_left = 65
-        return made
-
-    def _alpha(self):
-        plot = self._plot(130, "alpha", Range1d(-0.05, 1.05))
-        plot.step("time", "active", source=self._live, color="orange", alpha=0.6, line_width=5, legend_label="held")
-        plot.step("time", "alpha", source=self._live, color="crimson", line_width=2, legend_label="alpha", mode="after")
-        plot.add_layout(Span(location=GUARD, dimension="width", line_dash="dashed", line_color="gray"))
-        _small_legend(plot)
-        return plot
-
-    def _errors(self):
-        plot = self._plot(140, "errors / gamma", Range1d(1e-3, 1e5), y_axis_type="log")
-        plot.line("time", "first", source=self._live, color="#8888dd", legend_label="of the prediction")
-        plot.line("time", "worst", source=self._live, color="black", line_width=2, legend_label="the largest")
-        plot.add_layout(Span(location=1.0, dimension="width", line_dash="dashed", line_color="crimson"))
-        _small_legend(plot)
-        return plot
-
-    def _joints(self):
-        plot, items = self._plot(300, "joints (deg)", DataRange1d(range_padding=0.05)), []
-        plot.xaxis.axis_label = "time in the scene (s)"
-        for letter, when, dash, width in (
-            ("m", "time", "solid", 2), ("i", "imagined_time", "dashed", 2), ("r", "recalled_time", "dotted", 3),
-        ):  # fmt: skip
-            lines = [
-                plot.line(when, f"{letter}{j}", source=self._live, color=Category10_7[j - 1], line_dash=dash,
-                          line_width=width)
-                for j in range(1, ARM_JOINTS + 1)
-            ]  # fmt: skip
-            word = {"m": "measured", "i": "imagined", "r": "recalled, a second later"}[letter]
-            items.append(LegendItem(label=word, renderers=lines, index=0))
-        plot.add_layout(Legend(items=items, orientation="horizontal"), "above")
-        _small_legend(plot)
-        return plot
-
-    def _picture(self, place: int, title: str):
-        plot = figure(
-            width=190, height=215, title=title, x_range=(0, 1), y_range=(0, 1), toolbar_location=None,
-            x_axis_location=None, y_axis_location=None,
-        )  # fmt: skip
-        plot.grid.grid_line_color = None
-        plot.image_rgba("image", x=0, y=0, dw=1, dh=1, source=self._images[place])
-        return plot
-
-    def _desk_map(self):
-        """From above, as from behind the arm: x up, y to the left."""
-        lower, upper = self._run.session.bounds()
-        plot = figure(
-            width=240, height=215, title="the can: click to put it", toolbar_location=None, tools="tap",
-            x_range=Range1d(upper[1] + 0.03, lower[1] - 0.03), y_range=Range1d(lower[0] - 0.03, upper[0] + 0.03),
-            x_axis_label="y (m)", y_axis_label="x (m)", match_aspect=True, name="desk",
-        )  # fmt: skip
-        plot.quad(left=lower[1], right=upper[1], bottom=lower[0], top=upper[0], color="#dddddd")
-        plot.scatter("y", "x", source=self._desk, size=14, color="crimson")
-        plot.on_event(Tap, lambda event: self._say(lambda: self._run.session.put_can(event.y, event.x)))
-        return plot
-
     # What can be done.
+
+    def _put_can(self, x: float, y: float) -> None:
+        self._say(lambda: self._run.session.put_can(x, y))
 
     def _controls(self):
         run, session = self._run, self._run.session
@@ -289,6 +227,10 @@ class Page:
     def _choose(self, **changes) -> None:
         self._run.choose(**changes)
 
+    def _was_drawn(self) -> None:
+        if self._newest is not None:
+            self._run.delays.add(time.time() - self._newest)
+
     # What is new.
 
     def _update(self) -> None:
@@ -313,11 +255,12 @@ class Page:
         if session.ticks and session.ticks - self._pictured >= run.ticks_a_picture:
             self._pictured = session.ticks
             for source, picture in zip(self._images, session.pictures(), strict=True):
-                source.data = {"image": [_rgba(picture)]}
+                source.data = {"image": [rgba(picture)]}
             self._put(self._views[1].title, session.second_title)
             x, y = session.can_xy()
             self._desk.data = {"x": [x], "y": [y]}
         if (self._seen, self._pictured) != before:
+            self._newest = None if run.paused else session.rows[-1]["wall"]
             self._sent.data = {"update": [self._sent.data["update"][0] + 1]}
         self._put(self._status, run.words())
         events = "<br>".join(html.escape(f"{seconds:6.1f} s  {what}") for seconds, what in reversed(session.events))
@@ -332,18 +275,3 @@ class Page:
     def _put(shown: Div | Title, text: str) -> None:
         if shown.text != text:
             shown.text = text
-
-
-def _rgba(picture: np.ndarray) -> np.ndarray:
-    """uint8 (h, w, 3) as Bokeh draws it: uint32 (h, w), the lowest row first."""
-    image = np.full((*picture.shape[:2], 4), 255, np.uint8)
-    image[:, :, :3] = picture[::-1]
-    return image.view(np.uint32).reshape(picture.shape[:2])
-
-
-def _small_legend(plot) -> None:
-    plot.legend.label_text_font_size = "11px"
-    plot.legend.padding = plot.legend.margin = 2
-    plot.legend.background_fill_alpha = 0.6
-    if plot.legend.location != "above":
-        plot.legend.location = "top_left"

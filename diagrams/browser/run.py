@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from diagrams.browser.pace import Pace
+from diagrams.browser.pace import Lengths, Pace
 from diagrams.browser.session import Session
 
 SLICE = 0.03  # s: at the fastest, so long at a time, then the pages have their turn
@@ -17,12 +17,13 @@ class Run:
         session: what is run.
         pace: when.
         paused: whether only single ticks are run.
+        delays: from the end of a tick to when a page said that it had drawn it, s.
     """
 
     def __init__(self, session: Session, speed: float, save: Path):
         """`speed`: simulated over real time, 0: the fastest; `save`: file of `save`."""
         self.session, self.pace, self.paused = session, Pace(session.period, speed), False
-        self._save = save
+        self._save, self.delays = save, Lengths()
 
     def work(self) -> float:
         """Runs what is due; returns how long it is until there is more, s."""

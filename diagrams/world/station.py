@@ -13,6 +13,7 @@ from pydrake.geometry import (
     LightParameter,
     MakeRenderEngineVtk,
     RenderCameraCore,
+    RenderEngine,
     RenderEngineVtkParams,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -106,6 +107,27 @@ def _require_egl_device() -> None:
         query(0, None, ctypes.byref(count))
     if not count.value and not egl.eglGetDisplay(None):
         raise RuntimeError("no EGL device")
+
+
+def renderer() -> RenderEngine:
+    """The renderer of every camera, without a display; raises InputError where there is none."""
+    params = RenderEngineVtkParams()
+    params.default_clear_color = [0.78, 0.82, 0.86]
+    # Without a display; elsewhere than on Linux the default needs none.
+    params.backend = "EGL" if sys.platform == "linux" else ""
+    params.lights = [
+        LightParameter(type="directional", direction=[-0.80, -0.25, -0.60], intensity=0.75, frame="world"),
+        LightParameter(type="directional", direction=[-0.10, 0.60, -0.80], intensity=0.55, frame="world"),
+    ]
+    try:
+        if params.backend == "EGL":
+            _require_egl_device()
+        return MakeRenderEngineVtk(params)
+    except RuntimeError as error:
+        raise InputError(
+            f"the camera cannot render without a display: EGL is not usable here ({error}); "
+            "install it (Debian and Ubuntu: apt-get install libegl1 libgl1)"
+        ) from error
 
 
 class PickPlaceStation(Diagram):
@@ -251,23 +273,7 @@ class PickPlaceStation(Diagram):
         if not film_camera:
             # In software, the calling thread draws a picture this small faster than it wakes others for it.
             os.environ.setdefault("LP_NUM_THREADS", "0")
-        params = RenderEngineVtkParams()
-        params.default_clear_color = [0.78, 0.82, 0.86]
-        # Without a display; elsewhere than on Linux the default needs none.
-        params.backend = "EGL" if sys.platform == "linux" else ""
-        params.lights = [
-            LightParameter(type="directional", direction=[-0.80, -0.25, -0.60], intensity=0.75, frame="world"),
-            LightParameter(type="directional", direction=[-0.10, 0.60, -0.80], intensity=0.55, frame="world"),
-        ]
-        try:
-            if params.backend == "EGL":
-                _require_egl_device()
-            scene.AddRenderer(RENDERER, MakeRenderEngineVtk(params))
-        except RuntimeError as error:
-            raise InputError(
-                f"the camera cannot render without a display: EGL is not usable here ({error}); "
-                "install it (Debian and Ubuntu: apt-get install libegl1 libgl1)"
-            ) from error
+        scene.AddRenderer(RENDERER, renderer())
         camera = self.world.camera
         self._add_sensor(builder, scene, CAMERAS[0], "rgb_image", camera.width, camera.height, camera.field_of_view_deg)
         if film_camera:

@@ -56,6 +56,6 @@ def test_share_of_the_last_ticks_and_words():
     run(pace, [0.02] * RECENT, 1000.0)
     pace.rest()
     assert pace.behind() <= 0.01
-    assert pace.length(0.5) == pytest.approx(0.02, abs=0.001)
-    assert pace.length(0.999) == pytest.approx(0.25, abs=0.001)
+    assert pace.lengths.quantile(0.5) == pytest.approx(0.02, abs=0.001)
+    assert pace.lengths.quantile(0.999) == pytest.approx(0.25, abs=0.001)
     assert "a tick takes 20.0 ms in the median, 250" in pace.words()

@@ -95,4 +95,7 @@ def test_replay_and_film_are_written(world, encoder, policy, tmp_path):
     packed = b"".join(base64.b64decode(part) for part in re.findall(r"base64,([A-Za-z0-9+/=]+)", page))
     assert b"set_animation" in packed
     assert b"can_to_pick" in packed
+    # What the network imagines and recalls, and alpha, move in it too.
+    for path in (b"/drake/ghost/arm/link_7", b"/drake/recall/10", b"/drake/alpha/10"):
+        assert path in packed, path
     assert "http://" not in page.split("<body", 1)[0].replace("http://www.w3.org", "")
