@@ -25,6 +25,8 @@ from diagrams.world.teacher import Teacher, setups
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, SUBTASK_STEPS, subtask_commands
 from models.command_line import ROOT
 from models.errors import InputError
+from systems.disturbance import MOVE_TICKS
+from tests.diagrams.world.station_runs import hand_to_can, play, start, taught
 
 FILE = ROOT / "sdf" / "iiwa.world.yaml"
 # The public figures of the LBR iiwa 14 R820: limit (deg), effort (N m), speed (deg/s).
@@ -138,6 +140,28 @@ def test_disturbances_are_sampled_for_this_arm(iiwa, hand):
         episode = sampler.sample(seed, "A")
         assert hand.margin(np.array(episode.disturbance.target)) > 0.0
         assert np.all(np.abs(np.array(episode.can_xy) - np.mean(iiwa.grid.bounds, axis=0)) < 0.1)
+
+
+@pytest.mark.parametrize("seed", [1050005, 1050015])  # with three times the gains the arm threw it away
+def test_a_disturbance_leaves_the_can_in_the_hand(iiwa, hand, station, seed):
+    episode = EpisodeSampler(iiwa).sample(seed, "A")
+    given, scene = episode.disturbance, (episode.can_xy, episode.vacant)
+    assert given.subtask == 2
+    simulator = start(station, *scene)
+    context = simulator.get_mutable_context()
+    play(station, simulator, taught(station, hand, *scene, subtask=1))
+    before, command = hand_to_can(station, context), iiwa.initial_posture
+    for command in taught(station, hand, *scene, subtask=2):
+        play(station, simulator, [command])
+        can = station.GetOutputPort("can_poses").Eval(context)[4:7]
+        if np.linalg.norm(can - station.spot(episode.vacant)) < given.level:
+            break
+    target = np.append(given.target, command[-1])
+    shares = np.minimum(np.arange(1, MOVE_TICKS + given.hold_ticks + 1) / MOVE_TICKS, 1.0)
+    play(station, simulator, [command + share * (target - command) for share in shares])
+    slip = before.inverse().multiply(hand_to_can(station, context))
+    assert np.linalg.norm(slip.translation()) < 0.02
+    assert slip.rotation().ToAngleAxis().angle() < np.deg2rad(20.0)
 
 
 def test_a_network_of_another_arm_is_refused(iiwa):
