@@ -9,7 +9,7 @@ Topics, with Foxglove's schemas in Protobuf but for `/controller`:
     /command: JointStates at t_k: the command of the tick.
     /imagined_posture: JointStates at t_k, when it was made: m^R_{k+1}, the network's forecast for t_{k+1}.
     /controller: hindsight.Controller at t_k: alpha, errors, mode (`task` below alpha 1/2, else `return`), disturbed.
-    /tf: FrameTransforms from `world`, m: at t_k bodies of arm and gripper at m_k, and the camera; at t_k + T/2 the cans.
+    /tf: FrameTransforms from `world`, m: at t_k arm and gripper at m_k, and the camera; at t_k + T/2 the cans.
     /events: Log: what happened.
 
 The metadata record `outcome` has what came of the run.

@@ -27,7 +27,8 @@ class Cloned(Policy):
         file = Path(os.environ[FILE])
         self.initial_posture, self.files = World().initial_posture, (file,)
         with np.load(file) as stored:
-            self.layers = [stored[name] for name in sorted(stored.files)]
+            self.encoder_hash = str(stored["encoder"])
+            self.layers = [stored[name] for name in sorted(stored.files) if name != "encoder"]
         self.lower, self.upper = self.layers[:2]
 
     def act(self, seen: Seen, state: np.ndarray) -> Decision:
@@ -83,7 +84,8 @@ def train(data: Path, file: Path, encoder, updates: int = 15_000, hidden: int = 
         optimizer.step()
         schedule.step()
     print(f"{len(pairs)} ticks, rms error {loss.item() ** 0.5:.4f}, scaled")
-    named = {f"a{i}": bound for i, bound in enumerate((scaling.lower, scaling.upper))}
+    named = {"encoder": np.array(encoder.hash)}
+    named |= {f"a{i}": bound for i, bound in enumerate((scaling.lower, scaling.upper))}
     for i, p in enumerate(parameters):
         named[f"b{i}"] = p.detach().numpy().T.astype(float)
     np.savez(file, **named)
