@@ -122,8 +122,8 @@ class Policy(ABC):
         """SHA-256 of its name, the source of its module and of those of its base classes, and its files."""
         name = type(self).__qualname__.encode()
         bases = [kind for kind in type(self).__mro__[1:] if kind.__module__.partition(".")[0] not in _NOT_ITS_OWN]
-        sources = dict.fromkeys(inspect.getfile(kind) for kind in (type(self), *bases))
-        paths = [Path(path) for path in (*sources, *self.files)]
+        sources = dict.fromkeys(Path(inspect.getfile(kind)) for kind in (type(self), *bases))
+        paths = [*sources, *map(Path, self.files)]
         return hashlib.sha256(name + b"".join(hashlib.sha256(path.read_bytes()).digest() for path in paths)).hexdigest()
 
     def step(
