@@ -1,6 +1,6 @@
 """Behaviour cloning, as a stock policy of somebody else would come: an MLP on posture and features, and no state.
 
-As a program it trains itself: python tests/diagrams/cloned_policy.py demonstrations.h5 FILE.npz
+As a program it trains itself: python -m tests.diagrams.cloned_policy demonstrations.h5 runs/cloned/cloned.npz [UPDATES]
 """
 
 import os
@@ -13,7 +13,7 @@ import numpy as np
 from diagrams.world.configuration import World
 from models.policy import Decision, Policy, Seen
 
-FILE = "CLONED_POLICY"  # the environment variable that names it
+FILE, USUAL = "CLONED_POLICY", "runs/cloned/cloned.npz"  # the environment variable that names its file
 AHEAD, STILL = 3, 0.004  # ticks, rad
 JOINTS = np.append(np.ones(7), 0.0)  # are predicted by their step, the opening itself
 
@@ -24,7 +24,7 @@ class Cloned(Policy):
     name = "cloned"
 
     def __init__(self) -> None:
-        file = Path(os.environ[FILE])
+        file = Path(os.environ.get(FILE, USUAL))
         self.initial_posture, self.files = World().initial_posture, (file,)
         with np.load(file) as stored:
             self.encoder_hash = str(stored["encoder"])
@@ -95,4 +95,4 @@ if __name__ == "__main__":
     from diagrams.world.names import ENCODER, WEIGHTS
     from models.inference import Encoder
 
-    train(Path(sys.argv[1]), Path(sys.argv[2]), Encoder(WEIGHTS / ENCODER))
+    train(Path(sys.argv[1]), Path(sys.argv[2]), Encoder(WEIGHTS / ENCODER), *map(int, sys.argv[3:]))
