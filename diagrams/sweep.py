@@ -80,6 +80,11 @@ def main(arguments: SweepArguments) -> int:
     if lost:
         print(f"{len(lost)} episodes were given up by the cluster: start again with the same --out", file=sys.stderr)
         return 1
+    for folder, suffix in FILES.items():
+        asked = [task for task in tasks if folder in task.files and not rows[task.key]["error"]]
+        if none := sum(not (out / folder / f"{task.key}{suffix}").is_file() for task in asked):
+            words = f"{none} of {len(asked)} episodes, run before, have no file in {out / folder}"
+            print(f"warning: {words}: for these choose another --out", file=sys.stderr)
     return finish(arguments, [rows[task.key] for task in tasks])
 
 

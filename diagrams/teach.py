@@ -50,6 +50,8 @@ def demonstrate(job):
 
 def main(arguments: TeachArguments) -> int:
     """Records what is missing; returns 1 if the teacher itself failed somewhere."""
+    if arguments.format == "lerobot":
+        require("av", "h5py", "pandas", "pyarrow", extra="files")
     from tqdm import tqdm
 
     from diagrams.world.scenario import load_world
@@ -85,7 +87,6 @@ def main(arguments: TeachArguments) -> int:
 def _layout(name: str) -> Any:
     """The class that writes demonstrations in that layout."""
     if name == "lerobot":
-        require("av", "pyarrow", "pandas")
         from models.data.lerobot import LeRobotFolder
 
         return LeRobotFolder

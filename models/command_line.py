@@ -59,10 +59,15 @@ def _reader_gone() -> bool:
     return any(state & select.POLLERR for _, state in poll.poll(0))
 
 
-def require(*modules: str) -> None:
-    """Raises ModuleNotFoundError for one of `modules` that is not installed, before hours of work end in that."""
+def require(*modules: str, extra: str | None = None) -> None:
+    """Raises ModuleNotFoundError for one of `modules` that is not installed, before hours of work end in that.
+
+    With `extra`, which brings all of them, an InputError that names it: some modules are in several.
+    """
     for name in modules:
         if importlib.util.find_spec(name) is None:
+            if extra is not None:
+                raise InputError(f"this needs {name}: pip install -e '.[{extra}]'")
             raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 
 

@@ -25,12 +25,18 @@ def facts(world: World) -> dict[str, Any]:
 
 
 def require_trained_for(world: World, policy) -> None:
-    """Raises InputError where `policy` (see models/inference.py) was trained in another world; names both values."""
-    trained: dict[str, Any] = TRAINED_IN | _plain(getattr(policy, "metadata", {}).get("world", {}))
+    """Raises InputError where `policy` (see models/inference.py) was trained in another world; names both values.
+
+    Of a policy of one's own (models/policy.py) nothing is taken for granted but its initial posture.
+    """
+    own = getattr(policy, "calibrated_beside", False)
+    trained: dict[str, Any] = ({} if own else TRAINED_IN) | _plain(getattr(policy, "metadata", {}).get("world", {}))
     trained |= {"initial posture": np.asarray(policy.initial_posture), "components": len(policy.initial_posture)}
     initial = world.initial_posture
     have = facts(world) | {"initial posture": initial, "components": len(initial)}
     for name in ("models", "components", "initial posture", "period", "camera", "closed_opening"):
+        if name not in trained:
+            continue
         same = np.shape(have[name]) == np.shape(trained[name])
         if name == "models":
             same = have[name] == trained[name]
@@ -38,9 +44,10 @@ def require_trained_for(world: World, policy) -> None:
             same = np.allclose(have[name], trained[name], rtol=0.0, atol=1e-9)
         if not same:
             words = [np.array2string(np.asarray(value), precision=6) for value in (have[name], trained[name])]
+            whose = f"the policy '{policy.name}' says" if own else "the network was trained with"
+            remedy = "give it what is the world's" if own else "train a network in it"
             raise InputError(
-                f"the world's {name.replace('_', ' ')} is {words[0]}, the network was trained with {words[1]}: "
-                "change the world, or train a network in it"
+                f"the world's {name.replace('_', ' ')} is {words[0]}, {whose} {words[1]}: change the world, or {remedy}"
             )
 
 

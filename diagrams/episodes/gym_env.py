@@ -4,7 +4,9 @@ What stands before the colon is imported first, by which the name is known; Gymn
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -21,7 +23,7 @@ from diagrams.world.can_mover import CanMover
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import other_spot
-from diagrams.world.scenario import Scenario
+from diagrams.world.scenario import Scenario, load_world
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import REST_SECONDS, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
@@ -72,7 +74,7 @@ class PickPlaceEnv(DrakeGymEnv):
 
     `reset(seed=S)` gives the episode of `pick_place.py --seed S`; without a seed one is drawn by `np_random`.
     The information has the truth for scoring: `success`, `disturbed` (the disturbance is under way), `can_poses` (14,)
-    (see PickPlaceStation), `seconds` and, of a new episode, its `seed`.
+    (see PickPlaceStation), `seconds` and, of a new episode, its `seed`; where the physics diverged, as a tick before.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (as gymnasium.Env)
@@ -83,7 +85,7 @@ class PickPlaceEnv(DrakeGymEnv):
         disturbance: str | dict[str, Any] | DisturbanceSpec = "none",
         can: Sequence[float] | None = None,
         vacant: str | None = None,
-        world: World | None = None,
+        world: World | str | Path | None = None,
         render_mode: str | None = None,
     ):
         """
@@ -92,7 +94,7 @@ class PickPlaceEnv(DrakeGymEnv):
                 as {"kind": "B", "level": 0.12, "hold_ticks": 20, "subtask": 1}.
             can: X Y of the can to pick, m, world; sampled where not given.
             vacant: left or right; sampled where not given.
-            world: see diagrams/world/configuration.py.
+            world: see diagrams/world/configuration.py; or the YAML file of one.
             render_mode: rgb_array: what the camera sees; None: nothing is rendered but what is observed.
 
         Raises InputError for what makes no episode.
@@ -100,17 +102,22 @@ class PickPlaceEnv(DrakeGymEnv):
         if isinstance(disturbance, str):
             disturbance = DisturbanceSpec(kind=disturbance)
         elif isinstance(disturbance, dict):
-            try:
+            with _fitting("disturbance", disturbance, "see DisturbanceSpec"):
                 disturbance = DisturbanceSpec(**disturbance)
-            except TypeError as error:
-                raise InputError(
-                    f"the disturbance {disturbance} does not fit ({error}): see DisturbanceSpec"
-                ) from error
+        elif not isinstance(disturbance, DisturbanceSpec):
+            raise InputError(f"the disturbance {disturbance!r} is none: give none, A, B, moved, or a dictionary")
         if render_mode not in (None, "rgb_array"):
             raise InputError(f"there is no render_mode '{render_mode}': choose rgb_array, or none")
-        self._world, place = world or World(), None if can is None else [float(value) for value in can]
+        if isinstance(world, str | Path):
+            world = load_world(Path(world))
+        elif not isinstance(world, World | None):
+            raise InputError(f"the world {world!r} is none: give a World, or the name of its YAML file")
+        with _fitting("can", can, "give x and y in metres"):
+            place = None if can is None else [float(value) for value in can]
+        self._world = world or World()
         self._scenario = Scenario(can=place, vacant=vacant, disturbance=disturbance, world=self._world)
-        self._scenario.check()
+        with _fitting("disturbance", disturbance, "see DisturbanceSpec"):
+            self._scenario.check()
         self._sampler = EpisodeSampler(self._world)
         period, initial = self._world.timing.period, self._world.initial_posture
         builder = DiagramBuilder()
@@ -190,10 +197,18 @@ class PickPlaceEnv(DrakeGymEnv):
         self._postures, self._ticks, self._disturbed = deque[np.ndarray](maxlen=last), 0, 0
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
-        """See gymnasium.Env; there are no `options`. Raises InputError for a scene that is out of reach."""
+        """See gymnasium.Env. Raises InputError for a scene that is out of reach, and for `options`: there are none."""
+        if options:
+            raise InputError(f"there are no options {options}: give `can`, `vacant` and `disturbance` to make")
         seen, _ = super().reset(seed=seed, options=options)
         self._postures.append(seen["posture"])
         return seen, self._information(False) | {"seed": self._scenario.seed}
+
+    def render(self) -> np.ndarray:
+        """(112, 112, 3) uint8 or larger, what the camera sees; raises InputError without a render_mode."""
+        if self.render_mode is None:
+            raise InputError("nothing is rendered without a render_mode: give make render_mode='rgb_array'")
+        return super().render()
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """See gymnasium.Env."""
@@ -208,7 +223,7 @@ class PickPlaceEnv(DrakeGymEnv):
         bounds = self.action_space.low, self.action_space.high
         seen, _, _, diverged, _ = super().step(np.clip(wanted, *bounds))
         if diverged:
-            return seen, 0.0, False, True, {"success": False}
+            return seen, 0.0, False, True, self._last | {"success": False}
         self._postures.append(seen["posture"])
         context = self.simulator.get_context()
         active = self._output("active")[0] > 0.5
@@ -222,10 +237,22 @@ class PickPlaceEnv(DrakeGymEnv):
         return self.simulator.get_system().GetOutputPort(name).Eval(self.simulator.get_context())
 
     def _information(self, success: bool) -> dict[str, Any]:
-        return {
+        self._last = {
             "success": success, "disturbed": bool(self._output("active")[0] > 0.5),
             "can_poses": self._output("can_poses").copy(), "seconds": self._ticks * self._world.timing.period,
         }  # fmt: skip
+        return self._last
+
+
+@contextmanager
+def _fitting(what: str, value: Any, remedy: str) -> Iterator[None]:
+    """Makes an InputError of what Python raises at a value of another type."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"the {what} {value!r} does not fit ({error}): {remedy}") from error
 
 
 gymnasium.register(NAME, entry_point=f"{__name__}:PickPlaceEnv")

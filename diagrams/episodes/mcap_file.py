@@ -1,13 +1,15 @@
 """A run as an MCAP file, which Foxglove, Rerun and PlotJuggler open: a message a topic and tick.
 
-Times count from the start of the run. Topics, with Foxglove's schemas in Protobuf but for `/controller`:
+Times count from the start of the run: t_k of the tick, or its middle t_k + T/2, where a record looks at the plant.
+Topics, with Foxglove's schemas in Protobuf but for `/controller`:
 
-    /camera: CompressedImage, PNG: what the camera saw, where the record has a picture.
-    /joint_states: JointStates: m_k as sampled: joints, rad, and the commanded finger opening, m.
-    /command: JointStates: the command of the tick.
-    /imagined_posture: JointStates: m^R_{k+1}, the posture that the network predicts.
-    /controller: hindsight.Controller: alpha, errors, mode (`task` below alpha 1/2, else `return`), disturbed.
-    /tf: FrameTransforms from `world`, m: bodies of arm and gripper at m_k, the cans as they are, and the camera.
+    /camera: CompressedImage, PNG, at t_k + T/2: what the camera shows then, where the record has a picture; not what
+        the network saw at t_k, half a tick before.
+    /joint_states: JointStates at t_k: m_k as sampled: joints, rad, and the commanded finger opening, m.
+    /command: JointStates at t_k: the command of the tick.
+    /imagined_posture: JointStates at t_k, when it was made: m^R_{k+1}, the network's forecast for t_{k+1}.
+    /controller: hindsight.Controller at t_k: alpha, errors, mode (`task` below alpha 1/2, else `return`), disturbed.
+    /tf: FrameTransforms from `world`, m: at t_k arm and gripper at m_k, and the camera; at t_k + T/2 the cans.
     /events: Log: what happened.
 
 The metadata record `outcome` has what came of the run.
@@ -71,6 +73,10 @@ def mcap_bytes(record: Record, outcome: Outcome, world: World) -> bytes:
             controller.log(message.SerializeToString(), log_time=nanoseconds)
             moved = [_transform(name, X, stamp) for name, X in next(frames).items()]
             transforms.log(messages.FrameTransforms(transforms=moved), log_time=nanoseconds)
+            nanoseconds, stamp = _time(seconds + 0.5 * world.timing.period)
+            cans = zip(CANS, record.can_poses[k].reshape(-1, 7), strict=True)
+            moved = [_transform(name, _pose(pose), stamp) for name, pose in cans]
+            transforms.log(messages.FrameTransforms(transforms=moved), log_time=nanoseconds)
             if k in pictures:
                 png = cv2.imencode(".png", cv2.cvtColor(pictures[k], cv2.COLOR_RGB2BGR))[1].tobytes()
                 image = messages.CompressedImage(timestamp=stamp, frame_id="camera", data=png, format="png")
@@ -102,19 +108,16 @@ def _transform(name: str, X_WF: RigidTransform, stamp: Any) -> Any:
 
 
 def _transforms(record: Record, world: World) -> Iterator[dict[str, RigidTransform]]:
-    """Poses in the world by the names of the frames, tick by tick."""
+    """Poses of arm, gripper and camera in the world by the names of the frames, tick by tick."""
     plant = arm_plant(world)
     context = plant.CreateDefaultContext()
     frames = {frame.scoped_name().get_full(): frame for i in ("arm", "gripper") for frame in (
         plant.get_body(body).body_frame() for body in plant.GetBodyIndices(plant.GetModelInstanceByName(i))
     )}  # fmt: skip
     frames["camera"] = plant.GetFrameByName("camera")
-    for posture, cans in zip(record.posture, record.can_poses, strict=True):
+    for posture in record.posture:
         plant.SetPositions(context, np.append(posture[:ARM_JOINTS], [0.5 * posture[ARM_JOINTS]] * 2))
-        found = {name: frame.CalcPoseInWorld(context) for name, frame in frames.items()}
-        for name, pose in zip(CANS, cans.reshape(-1, 7), strict=True):
-            found[name] = _pose(pose)
-        yield found
+        yield {name: frame.CalcPoseInWorld(context) for name, frame in frames.items()}
 
 
 def _pose(can_pose: np.ndarray) -> RigidTransform:

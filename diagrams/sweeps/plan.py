@@ -61,6 +61,11 @@ class SweepArguments:
         ):
             if not least <= number <= most:
                 raise InputError(f"the {what} {number} is out of range: choose from {least} to {most}")
+        networks = SweepArguments()
+        for name in ("rnn", "training_seeds") if self.policy else ():
+            if (value := getattr(self, name)) != getattr(networks, name):
+                option, words = f"--{name.replace('_', '-')}", " ".join(map(str, value))
+                raise InputError(f"{option} {words} is of networks, which --policy replaces: leave one out")
         for gamma in self.gamma:
             if not 0.0 < gamma < math.inf:
                 raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")

@@ -37,6 +37,8 @@ class Scenario:
         """Raises InputError for a value outside its choices."""
         network_label(self.rnn)
         if self.policy is not None:
+            if self.rnn != Scenario.rnn:
+                raise InputError(f"the policy '{self.policy}' and the network '{self.rnn}' are given: leave one out")
             make_policy(self.policy)
         DETECTORS.check(self.detector)
         if self.vacant not in (*SPOTS, None):

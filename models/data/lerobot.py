@@ -43,12 +43,14 @@ class LeRobotFolder(AbstractContextManager):
     """
 
     def __init__(self, path: Path, settings: dict[str, Any], attributes: dict[str, Any]):
-        """Opens or begins the folder; see RecordingFile. `attributes` have `period` (s), `posture_names` (JSON).
+        """Opens or begins the folder; see RecordingFile. `attributes` have `period` (s), `posture_names` and `world`
+        (JSON; its models name the robot).
 
         Raises InputError where it cannot be written, is anything else, or was recorded with other settings.
         """
         self._path, self._attributes = path, {k: np.asarray(v).tolist() for k, v in attributes.items()}
         self._names = json.loads(attributes["posture_names"])
+        self._robot = json.loads(attributes["world"])["models"].partition(".")[0]
         self._fps = round(1.0 / attributes["period"])
         if not np.isclose(self._fps * attributes["period"], 1.0, rtol=0.0, atol=1e-9):
             raise InputError(
@@ -107,6 +109,17 @@ class LeRobotFolder(AbstractContextManager):
         digest, failed, rows, first = hashlib.sha256(), list[str](), list[dict[str, Any]](), 0
         values: dict[str, list[np.ndarray]] = {}
         counts = np.zeros((3, 256), np.int64)
+        wanted = {path for number in map(number_of, names) for path in (self._data(number), self._video(number))}
+        # LeRobot counts the files of a folder, not those that are named; a part is of a run that was killed.
+        found = {path for part in ("data", "videos") for path in (self._path / part).rglob("*") if path.is_file()}
+        surplus = found - wanted
+        if others := sum(path.suffix == ".parquet" for path in surplus):
+            raise InputError(
+                f"{self._path} has {others} demonstrations beyond the {len(names)} that are asked for: raise --limit, "
+                "or choose another --out"
+            )
+        for path in surplus:
+            path.unlink()
         for number, name in enumerate(sorted(names, key=number_of)):
             path = self._data(number_of(name))
             try:
@@ -168,7 +181,7 @@ class LeRobotFolder(AbstractContextManager):
             features[key] = {"dtype": "float32", "shape": [len(self._names)], "names": self._names}
         features |= {key: {"dtype": kind, "shape": [1], "names": None} for key, kind in _NUMBERS.items()}
         return {
-            "codebase_version": VERSION, "robot_type": "torobo", "total_episodes": episodes, "total_frames": frames,
+            "codebase_version": VERSION, "robot_type": self._robot, "total_episodes": episodes, "total_frames": frames,
             "total_tasks": len(TASKS), "chunks_size": CHUNK, "data_files_size_in_mb": 100,
             "video_files_size_in_mb": 200, "fps": self._fps, "splits": {"train": f"0:{episodes}"},
             "data_path": f"data/{_PLACES}.parquet", "video_path": f"videos/{{video_key}}/{_PLACES}.mp4",

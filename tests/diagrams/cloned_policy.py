@@ -1,6 +1,6 @@
 """Behaviour cloning, as a stock policy of somebody else would come: an MLP on posture and features, and no state.
 
-As a program it trains itself: python tests/diagrams/cloned_policy.py demonstrations.h5 FILE.npz
+As a program it trains itself: python -m tests.diagrams.cloned_policy demonstrations.h5 runs/cloned/cloned.npz [UPDATES]
 """
 
 import os
@@ -13,7 +13,7 @@ import numpy as np
 from diagrams.world.configuration import World
 from models.policy import Decision, Policy, Seen
 
-FILE = "CLONED_POLICY"  # the environment variable that names it
+FILE, USUAL = "CLONED_POLICY", "runs/cloned/cloned.npz"  # the environment variable that names its file
 AHEAD, STILL = 3, 0.004  # ticks, rad
 JOINTS = np.append(np.ones(7), 0.0)  # are predicted by their step, the opening itself
 
@@ -24,10 +24,11 @@ class Cloned(Policy):
     name = "cloned"
 
     def __init__(self) -> None:
-        file = Path(os.environ[FILE])
+        file = Path(os.environ.get(FILE, USUAL))
         self.initial_posture, self.files = World().initial_posture, (file,)
         with np.load(file) as stored:
-            self.layers = [stored[name] for name in sorted(stored.files)]
+            self.encoder_hash = str(stored["encoder"])
+            self.layers = [stored[name] for name in sorted(stored.files) if name != "encoder"]
         self.lower, self.upper = self.layers[:2]
 
     def act(self, seen: Seen, state: np.ndarray) -> Decision:
@@ -83,7 +84,8 @@ def train(data: Path, file: Path, encoder, updates: int = 15_000, hidden: int = 
         optimizer.step()
         schedule.step()
     print(f"{len(pairs)} ticks, rms error {loss.item() ** 0.5:.4f}, scaled")
-    named = {f"a{i}": bound for i, bound in enumerate((scaling.lower, scaling.upper))}
+    named = {"encoder": np.array(encoder.hash)}
+    named |= {f"a{i}": bound for i, bound in enumerate((scaling.lower, scaling.upper))}
     for i, p in enumerate(parameters):
         named[f"b{i}"] = p.detach().numpy().T.astype(float)
     np.savez(file, **named)
@@ -93,4 +95,4 @@ if __name__ == "__main__":
     from diagrams.world.names import ENCODER, WEIGHTS
     from models.inference import Encoder
 
-    train(Path(sys.argv[1]), Path(sys.argv[2]), Encoder(WEIGHTS / ENCODER))
+    train(Path(sys.argv[1]), Path(sys.argv[2]), Encoder(WEIGHTS / ENCODER), *map(int, sys.argv[3:]))

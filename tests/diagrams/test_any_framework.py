@@ -54,7 +54,8 @@ def test_it_flies(weights, tmp_path, monkeypatch):
     with (tmp_path / "run.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     counts = {summary.channels[i].topic: n for i, n in summary.statistics.channel_message_counts.items()}
-    assert counts == {topic: ticks for topic in counts} | {"/events": len(record.events)}  # a picture a tick
+    more = {"/events": len(record.events), "/tf": 2 * ticks}
+    assert counts == {topic: ticks for topic in counts} | more  # a picture a tick
     assert len(counts) == 7
     assert (outcome["rnn"], outcome["switched"]) == ("handmade", False)
     assert record.hidden_state.shape[1] == 16

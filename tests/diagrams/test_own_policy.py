@@ -11,6 +11,8 @@ from diagrams.episodes import validation
 from diagrams.episodes.record import load_record
 from diagrams.episodes.rollout import Rollout
 from diagrams.world.configuration import World
+from diagrams.world.scenario import load_world
+from models.command_line import ROOT
 from models.errors import InputError
 from models.files.container import WeightsError
 from models.files.detectors import StoredDetector, load_detector, save_detector
@@ -62,6 +64,18 @@ def test_its_posture_is_the_command(weights):
     assert record.hidden_state.shape == (30, 0)
     steps = record.desired_posture - record.posture
     np.testing.assert_allclose(steps, np.tile(DRIFT * np.eye(8)[0], (30, 1)), atol=1e-12)
+
+
+def test_it_flies_in_a_world_of_its_own(weights):
+    iiwa = ROOT / "sdf" / "iiwa.world.yaml"
+    words = ["--detector", "never", "--disturbance", "none"]
+    record, _ = fly(weights, "Abroad", *words, "--world", str(iiwa))
+    np.testing.assert_allclose(record.posture[0], load_world(iiwa).initial_posture)
+    assert record.posture[-1, 0] > record.posture[0, 0] + 10 * DRIFT
+    with pytest.raises(InputError, match=r"models is 'pick_place.* the policy 'abroad' says 'iiwa"):
+        fly(weights, "Abroad", *words)
+    with pytest.raises(InputError, match=r"(?s)initial posture is .* the policy 'drift' says"):
+        fly(weights, "Drift", *words, "--world", str(iiwa))
 
 
 def test_one_that_looks_sees_the_picture_of_the_tick(weights):
@@ -149,6 +163,14 @@ def test_a_sweep(weights, tmp_path):
     assert rows.weights_hash.tolist() == [own_policy(f"{HERE}:{name}", weights).hash for name in ("Drift", "Looking")]
 
 
+def test_a_network_beside_it_is_refused(weights):
+    with pytest.raises(InputError, match="and the network 'gru' are given: leave one out"):
+        fly(weights, "Drift", "--rnn", "gru")
+    for words, named in ((["--rnn", "gru"], "--rnn gru is of"), (["--training-seeds", "1"], "--training-seeds 1 is")):
+        with pytest.raises(InputError, match=named):
+            sweep.main(sweep.parse(["--policy", f"{HERE}:Drift", *words]))
+
+
 def test_bad_input_is_named(weights, tmp_path):
     given = ["--encoder", str(weights / "encoder.onnx"), "--policy", f"{HERE}:Drift"]
     for words, named in (
@@ -185,4 +207,6 @@ def test_a_cloned_policy_is_switched_by_a_detector_that_needs_no_state(weights, 
     # From there the LQR has it, while it is far.
     pull = record.regulator_step[noticed, :7]
     np.testing.assert_allclose((record.desired_posture - record.posture)[noticed, :7], pull, atol=1e-3)
-    assert np.abs(record.posture[noticed:, 1] - policy.initial_posture[1]).max() < np.inf
+    judged = np.abs(policy.scaling.scale(record.posture)[:, 1])
+    assert judged[noticed + 1 : noticed + 4].min() < judged[noticed]
+    assert judged[noticed:].max() < 0.5 * (gamma + far.max())  # where it goes if left alone

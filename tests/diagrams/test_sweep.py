@@ -228,7 +228,14 @@ def test_real_episodes(tmp_path, weights, in_this_process, monkeypatch):
     for path in (tmp_path / "mcap").iterdir():
         with path.open("rb") as file:
             counts = make_reader(file).get_summary().statistics.channel_message_counts.values()
-        assert sorted(counts)[1:] == [15] * 6  # a picture a tick; but for the events
+        assert sorted(counts)[1:] == [15] * 5 + [30]  # a picture a tick, two of transforms; but for the events
+
+
+def test_episodes_that_were_run_without_files_are_counted(tmp_path, weights, faked, capsys):
+    assert run(weights, tmp_path, keep_records=False) == 0
+    assert "have no file" not in capsys.readouterr().err
+    assert run(weights, tmp_path, mcap=True) == 0
+    assert "12 of 12 episodes, run before, have no file in" in capsys.readouterr().err
 
 
 def test_episodes_end_with_the_switching_where_that_is_asked(tmp_path, weights, in_this_process, monkeypatch):

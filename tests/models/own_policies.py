@@ -3,6 +3,8 @@
 import numpy as np
 
 from diagrams.world.configuration import World
+from diagrams.world.scenario import load_world
+from models.command_line import ROOT
 from models.policy import Decision, Policy, Seen
 
 DRIFT = 0.01  # rad a tick, of the first joint
@@ -63,3 +65,30 @@ class NoPolicy:
 class Nowhere(Drift):
     name = "nowhere"
     initial_posture = None
+
+
+class Abroad(Drift):
+    """For the iiwa."""
+
+    name = "abroad"
+    initial_posture = load_world(ROOT / "sdf" / "iiwa.world.yaml").initial_posture
+    metadata = {"world": {"models": "iiwa.dmd.yaml", "period": 0.1}}  # noqa: RUF012
+
+
+class Curious(Drift):
+    """Answers by the features."""
+
+    name = "curious"
+
+    def act(self, seen: Seen, state: np.ndarray) -> Decision:
+        return Decision(seen.posture + DRIFT * seen.features[0])
+
+
+class WithArgument(Drift):
+    def __init__(self, file):
+        self.file = file
+
+
+class WithoutAct(Policy):
+    name = "without act"
+    initial_posture = World().initial_posture

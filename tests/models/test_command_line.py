@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from models import command_line
-from models.command_line import ROOT, require_writable, run
+from models.command_line import ROOT, require, require_writable, run
 from models.errors import InputError
 
 
@@ -38,6 +38,11 @@ def test_bad_input_is_one_line(capsys):
 def test_a_missing_extra_is_named(capsys, module, extra):
     assert end_of(raiser(ModuleNotFoundError("no", name=module))) == 2
     assert capsys.readouterr().err == f"error: this needs {module}: pip install -e '.[{extra}]'\n"
+
+
+def test_an_extra_that_is_asked_for_is_named(capsys):
+    assert end_of(lambda _: require("numpy", "pyarroww", extra="files")) == 2
+    assert capsys.readouterr().err == "error: this needs pyarroww: pip install -e '.[files]'\n"
 
 
 def test_a_missing_module_of_ours_is_a_bug():

@@ -6,7 +6,7 @@ import pytest
 from models.errors import InputError
 from models.inference import own_policy
 from models.policy import Decision, make_policy
-from tests.models.own_policies import Drift, Recalling, Remembering
+from tests.models.own_policies import Curious, Drift, Recalling, Remembering
 
 HERE = "tests.models.own_policies"
 
@@ -54,10 +54,61 @@ def test_it_is_found_by_its_name():
     assert isinstance(make_policy(f"{HERE}:Remembering"), Remembering)
     for spec, named in (
         (f"{HERE}:NoPolicy", "is no Policy: make it a subclass"), (f"{HERE}:Nowhere", "has no initial_posture"),
-        (f"{HERE}:Nobody", "cannot be loaded"), ("nowhere:Policy", "cannot be loaded"), ("lstm", "no policy 'lstm'"),
+        (f"{HERE}:WithArgument", "cannot be made.*file.*takes no argument"),
+        (f"{HERE}:WithoutAct", "cannot be made.*abstract.* act"), (f"{HERE}:Nobody", "cannot be loaded"),
+        ("nowhere:Policy", "cannot be loaded"), ("lstm", "no policy 'lstm'"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=named):
             make_policy(spec)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"initial_posture": np.full(8, np.nan)}, "no initial_posture"),
+        ({"initial_posture": np.zeros((2, 4))}, "no initial_posture"),
+        ({"lower": np.zeros(7)}, r"bounds lower .*give \(8,\) numbers"),
+        ({"lower": 4.0}, "bounds lower 4.0"),
+        ({"upper": np.inf}, "bounds lower .* upper inf"),
+        ({"initial_state": np.array([np.nan])}, "no initial_state"),
+        ({"horizon": 0}, "has the horizon 0"),
+        ({"feature_size": 1.5}, "has the feature_size 1.5"),
+        ({"files": ("nowhere.npz",)}, "has no file nowhere.npz"),
+        ({"act": lambda self, seen, state: None}, r"Drift' does not act \(AttributeError"),
+        ({"act": lambda self, seen, state: 1 / 0}, r"Drift' does not act \(ZeroDivisionError"),
+        ({"act": lambda self, seen, state: Decision(np.zeros(7))}, r"drift\.act decided on posture \(7,\)"),
+        ({"act": lambda self, seen, state: Decision(np.full(8, np.nan))}, "not finite"),
+        ({"encode": lambda self, picture: np.zeros(2)}, r"encode gives \(2,\), feature_size is 30"),
+    ],
+)
+def test_one_that_does_not_do_as_it_says_is_refused(monkeypatch, change, named):
+    for name, value in change.items():
+        monkeypatch.setattr(Drift, name, value, raising=False)
+    with pytest.raises(InputError, match=named):
+        make_policy(f"{HERE}:Drift")
+
+
+def test_a_recall_of_another_shape_is_refused(monkeypatch):
+    monkeypatch.setattr(Recalling, "horizon", 3)
+    with pytest.raises(InputError, match=r"recalled \(2, 8\); it says .*recalled \(3, 8\)"):
+        make_policy(f"{HERE}:Recalling")
+
+
+def test_what_answers_by_features_names_its_encoder(monkeypatch):
+    with pytest.raises(InputError, match="give it encoder_hash"):
+        make_policy(f"{HERE}:Curious")
+    monkeypatch.setattr(Curious, "encoder_hash", "abc")
+    assert make_policy(f"{HERE}:Curious").encoder_hash == "abc"
+
+
+def test_a_changed_base_class_changes_the_hash(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_base.py").write_text("from tests.models.own_policies import Drift\nclass Base(Drift): pass\n")
+    (tmp_path / "my_policy.py").write_text("from my_base import Base\nclass Mine(Base): pass\n")
+    before = make_policy("my_policy:Mine").hash
+    with (tmp_path / "my_base.py").open("a") as file:
+        file.write("# changed\n")
+    assert make_policy("my_policy:Mine").hash != before
 
 
 def test_without_heads_it_recalls_nothing(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv
+from pydrake.gym import DrakeGymEnv
 
 from diagrams.episodes import gym_env
 from diagrams.episodes.calibration import never_fires
@@ -150,6 +151,19 @@ def test_time_is_limited(monkeypatch):
     assert ends[0][0]["rgb"].shape == (112, 112, 3)  # of a larger picture
 
 
+def test_a_diverged_tick_has_all_of_the_information(env, monkeypatch):
+    env.reset(seed=0)
+    before = env.step(World().initial_posture)[4]
+    monkeypatch.setattr(DrakeGymEnv, "step", lambda self, action: (None, 0.0, False, True, {}))
+    _, reward, ended, cut, information = env.unwrapped.step(World().initial_posture)
+    assert (reward, ended, cut, information.keys()) == (0.0, False, True, before.keys())
+
+
+def test_a_world_s_file_is_taken():
+    made = PickPlaceEnv(world=ROOT / "sdf" / "iiwa.world.yaml")
+    assert made.reset(seed=0)[0]["posture"] == pytest.approx(np.append(np.deg2rad([28, 32, 0, -96, 0, 47, 0]), 0.08))
+
+
 @pytest.mark.parametrize(
     ("options", "named"),
     [
@@ -157,6 +171,12 @@ def test_time_is_limited(monkeypatch):
         ({"disturbance": {"kinds": "A"}}, "does not fit.*kinds"),
         ({"vacant": "middle"}, "no vacant spot 'middle'"),
         ({"can": [0.5]}, "does not have two numbers"),
+        ({"can": ["x", 0.1]}, "the can .* does not fit"),
+        ({"can": 3}, "the can 3 does not fit"),
+        ({"disturbance": 3}, "the disturbance 3 is none"),
+        ({"disturbance": {"kind": "B", "level": "x"}}, "the disturbance .*level='x'.* does not fit"),
+        ({"world": "nowhere.yaml"}, "no world file nowhere.yaml"),
+        ({"world": 3}, "the world 3 is none"),
         ({"render_mode": "human"}, "no render_mode 'human'"),
     ],
 )
@@ -170,6 +190,10 @@ def test_bad_input_in_a_run_is_named(env):
     for action in (np.zeros(7), np.full(8, np.nan)):
         with pytest.raises(InputError, match="give 8 finite numbers"):
             env.unwrapped.step(action)
+    with pytest.raises(InputError, match="there are no options"):
+        env.reset(options={"can": [0.5, 0.0]})
+    with pytest.raises(InputError, match="nothing is rendered without"):
+        env.unwrapped.render()
     far = PickPlaceEnv(can=[0.9, 0.0])
     with pytest.raises(InputError, match="out of reach"):
         far.reset(seed=0)

@@ -10,9 +10,13 @@ import pytest
 from google.protobuf.json_format import MessageToDict
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation, Slerp
 
+from diagrams.episodes.calibration import never_fires
+from diagrams.episodes.episode import Episode
 from diagrams.episodes.mcap_file import JOINT_NAMES, mcap_bytes, save_mcap
 from diagrams.world.configuration import World
+from diagrams.world.disturbance import DisturbanceSpec
 from tests.diagrams.episode_fakes import OUTCOME
 from tests.diagrams.recorded_run import recorded_run
 
@@ -43,8 +47,12 @@ def record(world):
 @pytest.fixture(scope="module")
 def messages(record):
     """By topic, (nanoseconds, schema, message) in the order of time."""
+    return read(mcap_bytes(record, OUTCOME, World()))
+
+
+def read(content):
     found = defaultdict(list)
-    reader = make_reader(io.BytesIO(mcap_bytes(record, OUTCOME, World())), decoder_factories=[DecoderFactory()])
+    reader = make_reader(io.BytesIO(content), decoder_factories=[DecoderFactory()])
     for schema, channel, raw, message in reader.iter_decoded_messages():
         found[channel.topic].append((raw.log_time, schema.name, message))
     return found
@@ -58,9 +66,11 @@ def test_topics_schemas_counts_and_times(record, messages):
     assert {topic: {schema for _, schema, _ in rows} for topic, rows in messages.items()} == {
         topic: {schema} for topic, schema in SCHEMAS.items()
     }
-    for topic in SCHEMAS.keys() - {"/camera", "/events"}:
+    for topic in SCHEMAS.keys() - {"/camera", "/tf", "/events"}:
         assert [when for when, _, _ in messages[topic]] == nanoseconds(record), topic
-    assert [when for when, _, _ in messages["/camera"]] == [10**8 * k for k in range(0, N, 5)]
+    half = 5 * 10**7  # the record looks at plant and camera in the middle of the tick
+    assert [when for when, _, _ in messages["/camera"]] == [10**8 * k + half for k in range(0, N, 5)]
+    assert [when for when, _, _ in messages["/tf"]] == [half * i for i in range(2 * N)]
     for topic in SCHEMAS.keys() - {"/tf"}:
         assert all(message.timestamp.ToNanoseconds() == when for when, _, message in messages[topic]), topic
 
@@ -73,8 +83,6 @@ def test_postures_to_the_bit(record, messages):
 
     assert np.array_equal(rows("/joint_states"), record.posture)
     assert np.array_equal(rows("/command"), record.desired_posture)
-    # Eq. 3: the network's posture is what its step, without the LQR's, was taken from.
-    np.testing.assert_allclose(rows("/imagined_posture") - record.posture - record.regulator_step, record.rnn_step)
 
 
 def test_controller_to_the_bit(record, messages):
@@ -96,10 +104,11 @@ def test_transforms_are_those_of_the_station(record, messages, station):
     plant = station.plant
     context = plant.CreateDefaultContext()
     for k in (0, N - 1):
-        message = messages["/tf"][k][2]
-        found = {t.child_frame_id: t for t in message.transforms}
-        assert {t.parent_frame_id for t in message.transforms} == {"world"}
-        assert {t.timestamp.ToNanoseconds() for t in message.transforms} == {messages["/tf"][k][0]}
+        pair = messages["/tf"][2 * k : 2 * k + 2]
+        found = {t.child_frame_id: t for _, _, message in pair for t in message.transforms}
+        for when, _, message in pair:
+            assert {t.parent_frame_id for t in message.transforms} == {"world"}
+            assert {t.timestamp.ToNanoseconds() for t in message.transforms} == {when}
         for j, angle in enumerate(record.posture[k, :7]):
             plant.GetJointByName(f"joint_{j + 1}").set_angle(context, angle)
         for side in ("left", "right"):
@@ -134,3 +143,44 @@ def test_events_and_outcome(record, messages):
 def test_the_same_record_gives_the_same_file(record, tmp_path):
     save_mcap(tmp_path / "new" / "run.mcap", record, OUTCOME, World())
     assert (tmp_path / "new" / "run.mcap").read_bytes() == mcap_bytes(record, OUTCOME, World())
+
+
+@pytest.fixture(scope="module")
+def flown(rollout, policy):
+    """The messages of twelve seconds in which the can is picked; what the network predicts in the last tick, scaled."""
+    episode = Episode(0, (0.555, -0.041), "left", DisturbanceSpec())
+    policy.learn(episode)
+    outcome, record = rollout.run(episode, calibration=never_fires(11), time_limit=12.0)
+    controller = rollout.controller
+    context = controller.GetMyContextFromRoot(rollout.simulator.get_context())
+    row = controller.GetOutputPort("recalled_postures").Eval(context)[:8].copy()
+    return read(mcap_bytes(record, outcome, rollout.world)), row
+
+
+def test_imagined_posture_is_the_forecast_of_the_tick(flown, policy):
+    """Eq. 3 undone: what the network itself says."""
+    found, row = flown
+    when, _, message = found["/imagined_posture"][-1]
+    assert when == found["/joint_states"][-1][0]  # it was made then
+    posture = [joint.position for joint in message.joints]
+    np.testing.assert_allclose(posture, policy.scaling.unscale(row), rtol=0.0, atol=1e-12)
+
+
+def test_a_held_can_rests_in_the_hand(flown):
+    """In the palm's frame between its two messages around the can's."""
+    found, _ = flown
+    poses = defaultdict(list)
+    for when, _, message in found["/tf"]:
+        for t in message.transforms:
+            xyz, q = t.translation, t.rotation
+            poses[t.child_frame_id].append((when, [xyz.x, xyz.y, xyz.z], [q.x, q.y, q.z, q.w]))
+    (palm,) = (name for name in poses if name.endswith("palm"))
+    times, xyz, turns = (np.array(column) for column in zip(*poses[palm], strict=True))
+    when, cans, _ = (np.array(column) for column in zip(*poses["can_to_pick"], strict=True))
+    held = (when < times[-1]) & (cans[:, 2] > cans[0, 2] + 0.02)
+    assert held.sum() > 20
+    when, cans = when[held], cans[held]
+    palms = np.array([np.interp(when, times, column) for column in xyz.T]).T
+    seen = Slerp(times, Rotation.from_quat(turns))(when).inv().apply(cans - palms)
+    assert np.ptp(cans, axis=0).max() > 0.1  # m: it is carried
+    assert np.ptp(seen, axis=0).max() < 0.004

@@ -16,7 +16,10 @@ from tests.diagrams import teacher_fakes
 LENGTHS = (40, 25, 31)
 SETTINGS = {"seed": 0, "world": {"opening": 0.08}}
 NAMES = [*(f"joint_{j}" for j in range(1, 8)), "opening"]
-ATTRIBUTES = {"period": 0.1, "posture_names": json.dumps(NAMES), "initial_posture": np.zeros(8)}
+WORLD = {"models": "iiwa.dmd.yaml"}
+ATTRIBUTES = {
+    "period": 0.1, "posture_names": json.dumps(NAMES), "initial_posture": np.zeros(8), "world": json.dumps(WORLD)
+}  # fmt: skip
 
 
 def recording(index, **changes):
@@ -120,6 +123,23 @@ def test_what_is_missing_is_added(folder, tmp_path):
     assert write(path)[0] == whole
     for file in (path for path in folder.rglob("*") if path.is_file()):
         assert (path / file.relative_to(folder)).read_bytes() == file.read_bytes(), file
+
+
+def test_demonstrations_beyond_those_that_are_asked_for_are_refused(tmp_path):
+    write(tmp_path)
+    with pytest.raises(InputError, match="has 1 demonstrations beyond the 2 that are asked for"):
+        write(tmp_path, (), (0, 1))
+
+
+def test_what_a_killed_run_left_is_deleted(tmp_path):
+    write(tmp_path, (0,), (0,))
+    left = [tmp_path / f"videos/{CAMERA}/chunk-000" / name for name in ("part-file-001.mp4", "file-001.mp4")]
+    left += [tmp_path / "data/chunk-000/file-001.parquet.part"]
+    for path in left:
+        path.touch()
+    write(tmp_path, (), (0,))
+    assert not any(path.exists() for path in left)
+    assert json.loads((tmp_path / "meta/info.json").read_text())["robot_type"] == "iiwa"
 
 
 def test_failures_are_named_and_count(folder, tmp_path):
