@@ -13,7 +13,7 @@ import time
 import webbrowser
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -24,7 +24,11 @@ from diagrams.world.scenario import Scenario, load_world
 from models.command_line import require, require_writable, run
 from models.errors import InputError
 
+if TYPE_CHECKING:
+    from diagrams.browser.run import Run
+
 PORTS = range(1024, 65536)
+SLOWEST = 0.05  # speed
 
 
 @dataclass
@@ -36,8 +40,10 @@ class LiveArguments(Scenario):
     # YAML file of the world, below what options say of it
     world_file: Annotated[Path | None, tyro.conf.arg(name="world")] = None
     weights: Path = WEIGHTS  # folder of the trained networks
-    speed: float = 1.0  # simulated over real time; 0: as fast as possible
-    save: Path = Path("outputs/live.yaml")  # where Save, and the end, leave what was done; for pick_place.py --scenario
+    speed: float = 1.0  # simulated over real time, 0.05 or more; 0: as fast as possible
+    # Where Save, the next scene and the end leave what was done, for pick_place.py --scenario; further scenes in
+    # live-2.yaml and so on
+    save: Path = Path("outputs/live.yaml")
     port: int = 5006  # of the page
     meshcat_port: int | None = None  # of the 3-D view in it; else a free one
     open: bool = True  # the page in a browser, where there is a display
@@ -53,11 +59,11 @@ def parse(arguments: list[str] | None = None) -> LiveArguments:
 
 
 def main(cli: LiveArguments) -> int:
-    """Runs until Ctrl-C; returns the exit code."""
+    """Runs until Ctrl-C, or another signal that ends it; returns the exit code."""
     cli.check()
     require("bokeh", "tornado")
-    if not 0.0 <= cli.speed < float("inf"):
-        raise InputError(f"the speed {cli.speed} is negative or not finite: choose 0 (as fast as possible) or more")
+    if cli.speed != 0.0 and not SLOWEST <= cli.speed < float("inf"):
+        raise InputError(f"the speed {cli.speed} cannot be: choose 0 (as fast as possible) or {SLOWEST} and more")
     for name, port in (("port", cli.port), ("meshcat-port", cli.meshcat_port)):
         if port is not None and port not in PORTS:
             raise InputError(f"--{name} {port} is no port that can be had: choose from {PORTS[0]} to {PORTS[-1]}")
@@ -80,17 +86,30 @@ def main(cli: LiveArguments) -> int:
             webbrowser.open(url)
 
     before = time.process_time()
-    serve(live, cli.port, meshcat.web_url(), ready)
+    try:
+        serve(live, cli.port, meshcat.web_url(), ready)
+    finally:  # also where a tick raised: first of all what was done
+        kept = _keep(live)
     used, largest = time.process_time() - before, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    if live.session.recorded().hands:
-        print(f"written: {live.save()}")
     print(live.pace.words())
     if live.delays:
         typical, most = (live.delays.quantile(share) for share in (0.5, 0.99))
         print(f"drawn {typical:.2f} s after the tick in the median, {most:.2f} s at 99 %")
     each = 1e3 * used / max(live.pace.ticks, 1)
     print(f"{each:.1f} ms of processor time a tick, with the pages; {largest:.0f} MiB of memory at most")
-    return 0
+    return 0 if kept else 2
+
+
+def _keep(live: "Run") -> bool:
+    """Writes what is not written yet; False, and a line on stderr, where that cannot be done."""
+    try:
+        path = live.keep()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return False
+    if path is not None:
+        print(f"written: {path}")
+    return True
 
 
 if __name__ == "__main__":

@@ -161,7 +161,9 @@ def main(cli: PickPlaceArguments) -> int:
     _draw("diagram", lambda: save_graph(rollout.diagram, cli.graphviz))
     stages = {"picked": outcome.picked, "placed": outcome.placed, "at the initial posture": outcome.home}
     print(f"task {word}: " + ", ".join(f"{stage} {'yes' if reached else 'no'}" for stage, reached in stages.items()))
-    if episode.disturbance.takes_arm and not outcome.void:
+    if episode.hands:
+        print("switching not judged: a person's hands were in it")
+    elif episode.disturbance.takes_arm and not outcome.void:
         delay = outcome.detection_delay_s
         switching = "as it should" if outcome.switch_success else f"failed ({outcome.switch_failure})"
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))

@@ -34,7 +34,7 @@ class Pace:
         self._due: float | None = None
         self.lengths = Lengths()  # of the ticks
         self._recent = np.zeros(RECENT, bool)
-        self.ticks = self.late = self._paced = 0
+        self.ticks = self.late = self._paced = self._timed = 0  # _timed: at real time, those that may be late
 
     @property
     def step(self) -> float:
@@ -42,8 +42,14 @@ class Pace:
         return self._period / self.speed if self.speed else 0.0
 
     def rest(self) -> None:
-        """No tick is due: a pause, a new scene or another speed; the next tick begins the count anew."""
+        """No tick is due: a pause, a new scene; the next tick begins the count anew."""
         self._due = None
+
+    def set_speed(self, speed: float) -> None:
+        """Another one; what was late at the last is forgotten."""
+        self.speed = speed
+        self._recent[:] = False
+        self.rest()
 
     def wait(self, now: float) -> float:
         """How long it is until the next tick is due; 0: it is."""
@@ -58,8 +64,10 @@ class Pace:
         due = began if self._due is None else self._due
         late = ended > due + self.step
         self._recent[self._paced % RECENT] = late
-        self.late += late
         self._paced += 1
+        if self.speed == 1.0:
+            self.late += late
+            self._timed += 1
         # What was lost is not made up for by haste, but for one tick.
         self._due = due + self.step if ended <= due + 2 * self.step else ended
 
@@ -71,7 +79,7 @@ class Pace:
         """All of it, in a line."""
         if not self.ticks:
             return "no tick was run"
-        late = f"{self.late} of {self._paced} paced ticks late ({100 * self.late / max(self._paced, 1):.1f} %)"
+        late = f"{self.late} of {self._timed} ticks late at real time ({100 * self.late / max(self._timed, 1):.1f} %)"
         return (
             f"{self.ticks} ticks; {late}; a tick takes {1e3 * self.lengths.quantile(0.5):.1f} ms in the median, "
             f"{1e3 * self.lengths.quantile(0.99):.1f} ms at 99 %"

@@ -14,10 +14,13 @@ from diagrams.browser.run import Run
 from models.errors import InputError
 
 HOST = "127.0.0.1"
+ENDS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
 def serve(run: Run, port: int, scene_url: str, on_ready) -> None:
-    """Serves and runs until Ctrl-C. `scene_url`: of Meshcat; `on_ready`: is told the page's address.
+    """Serves and runs until Ctrl-C, or another signal of ENDS.
+
+    `scene_url`: of Meshcat; `on_ready`: is told the page's address.
 
     Raises InputError where the port cannot be had, and what a tick raises.
     """
@@ -44,14 +47,17 @@ def serve(run: Run, port: int, scene_url: str, on_ready) -> None:
             failures.append(error)
             loop.stop()
 
-    before = signal.signal(signal.SIGINT, lambda *_: loop.add_callback_from_signal(loop.stop))
+    # What is ignored stays so, as SIGHUP below nohup.
+    ends = [each for each in ENDS if signal.getsignal(each) is not signal.SIG_IGN]
+    before = {each: signal.signal(each, lambda *_: loop.add_callback_from_signal(loop.stop)) for each in ends}
     try:
         server.start()
         loop.add_callback(work)
         loop.add_callback(on_ready, f"http://localhost:{port}/")
         loop.start()
     finally:
-        signal.signal(signal.SIGINT, before)
+        for each, handler in before.items():
+            signal.signal(each, handler)
         server.stop()
     if failures:
         raise failures[0]

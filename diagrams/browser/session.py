@@ -17,12 +17,15 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands import Hands
 from diagrams.world.names import ARM_JOINTS, DECODER, ENCODER
 from diagrams.world.scenario import Scenario, save_scenario
-from diagrams.world.task import REST_SECONDS, lifted
+from diagrams.world.task import REST_SECONDS
+from models.errors import InputError
 from models.inference import Decoder
+from systems.camera_fault import FAULTS
 
 KEPT_ROWS, KEPT_EVENTS = 400, 8
 TASK, RETURN = "the network moves the arm", "the LQR brings the arm home"
 DONE = "task done"
+DIVERGED = "the simulation diverged: begin another scene"
 
 
 class Session:
@@ -35,6 +38,7 @@ class Session:
         events: the last (s, what happened), the newest last.
         mode, since: TASK or RETURN, and since when, s.
         ended: why no further tick can be run, or should be; empty: go on.
+        diverged: whether the simulation did: no further tick can be run, and nothing can be seen.
     """
 
     def __init__(self, scenario: Scenario, weights: Path, meshcat=None):
@@ -59,7 +63,8 @@ class Session:
         self._monitor = rollout.prepare(episode, calibration)
         self.scenario, self.rollout, self.episode = scenario, rollout, episode
         self.gamma = episode.hands.gamma[-1][1] if episode.hands.gamma else calibration.gamma
-        self.ticks, self.scene, self.ended = 0, self.scene + 1, ""
+        self.ticks, self.scene, self.ended, self.diverged = 0, self.scene + 1, "", False
+        self._puller, self._put = "", -1  # who pulls, and in which tick the can was put last
         self.mode, self.since, self._done = TASK, 0.0, False
         self.rows.clear()
         self.events.clear()
@@ -124,22 +129,46 @@ class Session:
         if bool(self._holders) != before:
             self._hands.hold(self._root, self.ticks, held)
 
-    def move(self) -> None:
-        """Moves the arm to a random posture, as disturbance A; raises InputError where none is free."""
-        cans, posture = self._read("can_poses"), self._read("measured_posture")
-        in_hand = bool(lifted(cans)) and not bool(self._monitor.placed(cans))
-        can_xy = None if in_hand else (float(cans[4]), float(cans[5]))
-        target = self._sampler.pushed_away(self._chance, posture[:ARM_JOINTS], can_xy, self.episode.vacant)
-        self._hands.move(self._root, self.ticks, target)
+    def require_going(self) -> None:
+        """Raises InputError after the simulation diverged: Drake ends the process that asks for a pose then."""
+        if self.diverged:
+            raise InputError(DIVERGED)
 
-    def pull(self, force: np.ndarray) -> None:
-        """Pulls at the hand by `force` (3,), N, world; raises InputError for too large a one."""
+    def move(self) -> None:
+        """Moves the arm to a random posture, as disturbance A; it is then held on where somebody holds it.
+
+        Raises InputError where no posture is free.
+        """
+        self.require_going()
+        target = self._sampler.pushed_away(self._chance, self._read("measured_posture"), self._read("can_poses"))
+        self._hands.move(self._root, self.ticks, target, bool(self._holders))
+
+    def pull(self, force: np.ndarray, puller: str = "") -> None:
+        """`puller`, such as a page, pulls the hand by `force` (3,), N, world; raises InputError for too large a one."""
         self._hands.pull(self._root, self.ticks, force)
+        self._puller = puller
+
+    def leave(self, name: str) -> None:
+        """`name` has no hands any more: what it holds and pulls is let go."""
+        self.hold(name, False)
+        if self._puller == name and self.force.any():
+            self.pull(np.zeros(3))
+
+    @property
+    def force(self) -> np.ndarray:
+        """(3,) N, world: of the pull."""
+        return self._hands.newest(self._root, "force")
+
+    @property
+    def camera(self) -> str:
+        """The camera's fault, of systems.camera_fault.FAULTS."""
+        return FAULTS[int(self._hands.newest(self._root, "camera")[0])]
 
     def put_can(self, x: float, y: float) -> None:
         """Puts the can, wherever it is, on the desk at (x, y), m, world; raises InputError for a place out of reach."""
         self._sampler.require_reachable((x, y))
         self._hands.put_can(self._root, self.ticks, np.array([x, y]))
+        self._put = self.ticks
 
     def fault(self, kind: str) -> None:
         """A fault of the camera, of systems.camera_fault.FAULTS."""
@@ -155,17 +184,27 @@ class Session:
         return replace(self.scenario, hands=self._hands.schedule(self._root))
 
     def save(self, path: Path) -> None:
-        """Writes `recorded` to `path`; pick_place.py --scenario replays it to the same bits."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_scenario(path, self.recorded(), [f"As played for {self.seconds:.1f} s: pick_place.py --scenario FILE"])
+        """Writes `recorded` to `path`; pick_place.py --scenario replays it to the same bits.
+
+        Raises InputError where it cannot be written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_scenario(path, self.recorded(), [f"As played for {self.seconds:.1f} s: pick_place.py --scenario FILE"])
+        except OSError as error:
+            raise InputError(f"{path} cannot be written ({error.strerror}): make room for it") from error
 
     # What is seen.
 
     def tick(self) -> None:
-        """Runs one tick; afterwards `ended` may tell why there should be no other one."""
+        """Runs one tick; afterwards `ended` may tell why there should be no other one.
+
+        Raises InputError after the simulation diverged.
+        """
+        self.require_going()
         k, period = self.ticks, self.period
         if not self.rollout.advance((k + 0.5) * period):
-            self.ended = "the simulation diverged: begin another scene"
+            self.ended, self.diverged = DIVERGED, True
             return
         row = self._row(k)
         self.ticks += 1
@@ -175,7 +214,7 @@ class Session:
             self.mode, self.since = mode, row["time"]
         posture, cans = self._read("measured_posture"), self._read("can_poses")
         self._postures.append(posture)
-        taken = bool(self._read("taken")[0] > 0.5)
+        taken = bool(self._read("taken")[0] > 0.5) or self._put == k
         active, home = bool(row["active"]), bool(self._monitor.home(posture))
         self._narrator.see(row["time"], posture, row["alpha"], active, taken, cans, home)
         self._narrator.events.clear()
@@ -217,8 +256,9 @@ class Session:
         """uint8 (112, 112, 3): what the camera gives now, and what the decoder makes of what the network was fed.
 
         That is the features of the camera's picture, and as far as alpha is above 0, of what it imagined to see; black
-        where the weights have no decoder, which `second_title` says.
+        where the weights have no decoder, which `second_title` says. Raises InputError after the simulation diverged.
         """
+        self.require_going()
         if self._shown is None or self._shown[0] != self.ticks:
             port = self._hands.image
             seen = port.Eval(port.get_system().GetMyContextFromRoot(self._root)).data[:, :, :3]
@@ -234,7 +274,8 @@ class Session:
         return "what the features say of it" if self.mode == TASK else "what it imagines to see"
 
     def can_xy(self) -> tuple[float, float]:
-        """Where the can to pick is, m, world."""
+        """Where the can to pick is, m, world; raises InputError after the simulation diverged."""
+        self.require_going()
         cans = self._read("can_poses")
         return float(cans[4]), float(cans[5])
 

@@ -26,7 +26,7 @@ class Episode:
 
 @dataclass
 class Outcome:
-    """What came of an episode; None where a field has no meaning (undisturbed, never reached)."""
+    """What came of an episode; None where a field has no meaning (undisturbed, never reached, a person's hands)."""
 
     seed: int
     rnn: str
@@ -43,14 +43,14 @@ class Outcome:
     switched: bool
     detection_delay_s: float | None  # from the onset to alpha >= 0.9
     guard_crossings: int  # of alpha through 1/2, up and down, in the whole run
-    false_switches: int  # before the onset
-    later_switches: int  # after the network had the arm again
-    needless_s: float  # alpha >= 1/2 that no disturbance explains
+    false_switches: int | None  # before the onset
+    later_switches: int | None  # after the network had the arm again
+    needless_s: float | None  # alpha >= 1/2 that no disturbance explains
     returned: bool | None
     resumed: bool | None
     switch_success: bool | None  # None: void, or not asked for
     paper_switch_success: bool | None  # in the paper's words; None: void, or not asked for
-    alpha_max_before: float  # the onset
+    alpha_max_before: float | None  # the onset
     return_s: float | None  # from the end of the disturbance to the initial posture
     resume_s: float | None  # from the initial posture to alpha <= 0.1
     way_home_m: float | None  # smallest distance to anything on the ways home, see way_home.py; None: none was gone

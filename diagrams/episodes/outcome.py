@@ -1,10 +1,19 @@
 """From what was seen in a run to its outcome."""
 
+from dataclasses import replace
+from typing import Any
+
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.record import Record
 from diagrams.episodes.switching import GUARD, Switching
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.task import TaskMonitor, lifted
+
+# What a person's hands leave without a meaning: there is no one disturbance by which the switching could be judged.
+OF_ONE_DISTURBANCE = (
+    "detection_delay_s", "false_switches", "later_switches", "needless_s", "returned", "resumed", "switch_success",
+    "paper_switch_success", "alpha_max_before", "return_s", "resume_s", "switch_failure",
+)  # fmt: skip
 
 
 def make_outcome(
@@ -26,12 +35,14 @@ def make_outcome(
     """
     given = episode.disturbance
     came = not switching.void if given.takes_arm else can_moved or given.kind == "none"
+    came |= bool(episode.hands)
     void = not came and not diverged  # a run that diverged has failed at both
     switch_success, as_paper = switching.success, switching.as_paper
-    failure, switch_failure = None, switching.failure
+    failure, switch_failure = None, None if episode.hands else switching.failure
     if diverged:
         switch_success = as_paper = False
-        failure = switch_failure = switch_failure if switching.failed is not None else DIVERGED
+        failed_before = switching.failed is not None and switch_failure is not None
+        failure = switch_failure = switch_failure if failed_before else DIVERGED
     elif not success:
         failure, when = monitor.failure(record.can_poses, record.posture)
         failed = len(record.time) - 1 if switching.failed is None else switching.failed
@@ -40,7 +51,7 @@ def make_outcome(
     def seconds(a: int | None, b: int | None) -> float | None:
         return None if a is None or b is None else (b - a) * period
 
-    return Outcome(
+    outcome = Outcome(
         seed=episode.seed,
         rnn=episode.rnn,
         detector=episode.detector,
@@ -73,3 +84,5 @@ def make_outcome(
         sim_seconds=len(record.time) * period,
         weights_hash=policy_hash,
     )
+    nothing: dict[str, Any] = dict.fromkeys(OF_ONE_DISTURBANCE)
+    return replace(outcome, **nothing) if episode.hands else outcome

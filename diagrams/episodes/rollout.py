@@ -210,6 +210,8 @@ class Rollout:
     ) -> tuple[Outcome, Record]:
         """Runs `episode` to success, to its time limit, or to what `until` says; its ticks are those of the whole run.
 
+        A success that comes before the last that a person's hands did ends nothing.
+
         Args:
             on_event: is told (s, what happened); on_tick: is told the number of ticks so far.
             picture_every: ticks between two pictures of the camera that are kept; 0: none are.
@@ -228,6 +230,7 @@ class Rollout:
         way_home = WayHome(self.station)
         success = diverged = cut = can_moved = homing = False
         limit, k = round(time_limit / period) + episode.hands.last_tick, 0 if start is None else start.ticks
+        put = {int(row[0]) for row in episode.hands.can}
 
         def judge(k: int, taken: bool) -> bool:
             """Tells of row k; whether the arm is at its initial posture."""
@@ -239,7 +242,8 @@ class Rollout:
 
         for earlier in range(k):
             judge(earlier, False)
-        while k < limit + switching.ticks_disturbed and not success and not cut:
+        # A person may have gone on after the task was done.
+        while k < limit + switching.ticks_disturbed and not (success and k > episode.hands.last_tick) and not cut:
             # Half a plant step before the tick the plant is as the tick sees it, and no event is pending.
             if keep is not None and k and not homing and self.advance(k * period - 0.5 * self.world.timing.time_step):
                 port, context = ports["approach_distance"]
@@ -260,7 +264,7 @@ class Rollout:
                 port, context = ports["rgb_image"]
                 rows["picture_ticks"].append(k)
                 rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())
-            home = judge(k, taken[0] > 0.5)
+            home = judge(k, taken[0] > 0.5 or k in put)
             can_moved |= bool(taken[0] > 0.5)
             success = (
                 home and not active and monitor.success(cans, np.array(rows["posture"]), self.station.finger_gap(root))

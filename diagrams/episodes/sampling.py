@@ -10,12 +10,14 @@ from diagrams.episodes.episode import Episode
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.inverse_kinematics import HandKinematics
-from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, LIMIT_MARGIN, MOVED, SPOTS, other_spot
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, IN_HAND, LIMIT_MARGIN, MOVED, SPOTS, other_spot
 from diagrams.world.scenario import Scenario
 from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, subtask_commands
 from models.errors import InputError
 from systems.detectors import DETECTORS
+from systems.manual_disturbance import MOVE
 
 XY = tuple[float, float]  # m, world
 UNLEARNED = (0.010, 0.020)  # distance of an unlearned position to the nearest trained one, m
@@ -24,6 +26,7 @@ UNLEARNED = (0.010, 0.020)  # distance of an unlearned position to the nearest t
 ONSET_LEVELS = {1: (0.10, 0.20), 2: (0.04, 0.16)}
 DEFLECTION_DEG = (15.0, 40.0)
 DEFLECTED_JOINTS = (3, 7)  # how many joints, inclusive
+DRAWS, LIVE_DRAWS = 2000, 100  # of a deflection; while somebody waits for it
 STOP_TICKS = (15, 25)  # inclusive, B
 HELD_TICKS = 10  # A: at the posture it was moved to
 CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
@@ -113,17 +116,31 @@ class EpisodeSampler:
         given, rnn, detector = scenario.disturbance, scenario.label, DETECTORS.label(scenario.detector)
         kind = given.kind if given.level is None else "none"
         episode = self.sample(scenario.seed, kind, scenario.can, scenario.vacant, rnn, detector)
+        self._require_hands(scenario.hands)
         episode = replace(episode, hands=scenario.hands)
         if given.level is None or given.kind == "none":
             return episode
-        if given.target is not None and self._hand.margin(np.array(given.target)) < 0.0:
-            raise InputError(
-                f"disturbance.target {given.target} rad is outside of the joint limits: "
-                f"choose from {self._hand.lower.round(2).tolist()} to {self._hand.upper.round(2).tolist()}"
-            )
+        if given.target is not None:
+            self._require_within("disturbance.target", given.target)
         if given.can_moved_to is not None:
             self.require_reachable(given.can_moved_to)
         return replace(episode, disturbance=given, way_home_clear=None)
+
+    def _require_hands(self, hands: HandsSchedule) -> None:
+        """Raises InputError for a posture or a place that no hand can give; see HandsSchedule.check for the rest."""
+        for _, kind, *target in hands.grip:
+            if kind == MOVE:
+                self._require_within("hands.grip", target)
+        for _, *place in hands.can:
+            self.require_reachable(place)
+
+    def _require_within(self, name: str, target: list[float]) -> None:
+        """Raises InputError unless the posture `target` (7, rad), called `name`, is within the joint limits."""
+        if self._hand.margin(np.array(target)) < 0.0:
+            raise InputError(
+                f"{name} {target} rad is outside of the joint limits: "
+                f"choose from {self._hand.lower.round(2).tolist()} to {self._hand.upper.round(2).tolist()}"
+            )
 
     def onset_posture(self, episode: Episode) -> np.ndarray:
         """(7,) rad: where the teacher is at the onset of the disturbance of `episode`, which has a level.
@@ -220,8 +237,18 @@ class EpisodeSampler:
         return Approach(joints, np.array(distances), where)
 
     def _deflected(self, rng: np.random.Generator, start: np.ndarray, approach: Approach) -> np.ndarray:
-        """(7,) rad: several joints 15 to 40 deg off `start`; sampled again until the path there is clear."""
-        for _ in range(2000):
+        """See `_deflection`; raises InputError where there is none."""
+        target = self._deflection(rng, start, DRAWS)
+        if target is None:
+            raise InputError(
+                f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found to which the arm comes "
+                f"freely, in {approach.where}: give disturbance.target"
+            )
+        return target
+
+    def _deflection(self, rng: np.random.Generator, start: np.ndarray, draws: int) -> np.ndarray | None:
+        """(7,) rad: several joints 15 to 40 deg off `start`; sampled again until the path there is clear, or None."""
+        for _ in range(draws):
             count = rng.integers(*DEFLECTED_JOINTS, endpoint=True)
             joints = rng.choice(ARM_JOINTS, size=count, replace=False)
             offset = np.zeros(ARM_JOINTS)
@@ -229,18 +256,24 @@ class EpisodeSampler:
             target = start + offset
             if self.comes_freely(start, target):
                 return target
-        raise InputError(
-            f"no posture {DEFLECTION_DEG[0]:g} to {DEFLECTION_DEG[1]:g} deg off was found to which the arm comes "
-            f"freely, in {approach.where}: give disturbance.target"
-        )
+        return None
 
-    def pushed_away(self, rng: np.random.Generator, start: np.ndarray, can_xy: XY | None, vacant: str) -> np.ndarray:
-        """(7,) rad: as the target of disturbance A, for an arm that is at `start` (7,), rad.
+    def pushed_away(self, rng: np.random.Generator, posture: np.ndarray, can_poses: np.ndarray) -> np.ndarray:
+        """(7,) rad: as the target of disturbance A, for an arm that is at `posture` (8,), rad and m, among `can_poses`.
 
-        `can_xy` (m, world): where the can stands; None: in the hand. Raises InputError where no posture is found.
+        `can_poses` (14,): as PickPlaceStation gives them. Raises InputError where the arm cannot be moved.
         """
-        self._checker.set_scene(can_xy, vacant, self._world.opening)
-        return self._deflected(rng, start, Approach(start[None], np.zeros(1), "the scene as it is now"))
+        start = posture[:ARM_JOINTS]
+        closed = bool(posture[ARM_JOINTS] < self._world.close_below)
+        between = np.linalg.norm(self._hand.grasp_position(start) - can_poses[4:7]) < IN_HAND
+        self._checker.set_poses(can_poses, held=closed and bool(between))
+        wait = "cannot be moved away: wait, or put the can elsewhere"
+        if (name := self._checker.first_touch(start)) is not None:
+            raise InputError(f"the arm is so near to the {name.replace('_', ' ')} that it {wait}")
+        target = self._deflection(rng, start, LIVE_DRAWS)
+        if target is None:
+            raise InputError(f"no posture was found near by to which the arm comes freely, so that it {wait}")
+        return target
 
     def comes_freely(self, start: np.ndarray, target: np.ndarray) -> bool:
         """Whether the arm can be moved from `start` to `target` (7, rad) within its limits, and touches nothing.

@@ -1,6 +1,7 @@
 """CollisionChecker: does a straight joint motion of the arm, with or without the can in its hand, touch the scene?"""
 
 import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import Role
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -52,6 +53,14 @@ class CollisionChecker:
         self._place(CANS[1], RigidTransform(self.spot(other_spot(vacant))))
         if can_xy is not None:
             self._place(CANS[0], RigidTransform([*can_xy, CAN_HALF_HEIGHT]))
+
+    def set_poses(self, can_poses: np.ndarray, held: bool) -> None:
+        """Where the cans are, (14,) as PickPlaceStation gives them; `held`: but the one to pick is in the hand."""
+        self._held = held
+        gap = 2 * CAN_RADIUS if held else self._opening
+        self._plant.SetPositions(self._plant_context, self._gripper, [0.5 * gap, 0.5 * gap])
+        for can, pose in zip(CANS, can_poses.reshape(len(CANS), 7), strict=True):
+            self._place(can, RigidTransform(Quaternion(pose[:4] / np.linalg.norm(pose[:4])), pose[4:]))
 
     def spot(self, name: str) -> np.ndarray:
         """See `spot_centre`."""

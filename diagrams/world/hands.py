@@ -5,7 +5,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import Adder
 
 from diagrams.world.configuration import World
-from diagrams.world.hands_schedule import INITIAL, HandsSchedule
+from diagrams.world.hands_schedule import INITIAL, HandsSchedule, require_force, require_gamma
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation
 from models.errors import InputError
@@ -17,8 +17,6 @@ from systems.manual_disturbance import FREE, HOLD, MOVE, ManualDisturbance
 from systems.signal_schedule import SignalSchedule
 
 HELD_TICKS = 10  # at the posture to which the arm was moved, as of disturbance A
-LARGEST_FORCE = 60.0  # N, a component of a pull at the hand
-GAMMAS = 1.0, 10_000.0  # smallest and largest that can be chosen
 
 
 class Hands:
@@ -26,7 +24,9 @@ class Hands:
 
     Attributes:
         image, command, place, active: output ports: the picture for the controller, the command for the arm, where the
-            can is put (2,), and above 1/2 while the arm is disturbed by anybody.
+            can is put (2,), and how many, the experimenter and the person, hold or move the arm: 0 to 2, pulls not
+            counted.
+        gamma: output port: the detector's gamma (1,), NaN for its own.
     """
 
     def __init__(
@@ -92,23 +92,35 @@ class Hands:
         rows["can"] = [row for row in rows["can"] if not np.isnan(row).any()]
         return HandsSchedule(**{name: [list(map(float, row)) for row in found] for name, found in rows.items()})
 
+    def newest(self, root: Context, name: str) -> np.ndarray:
+        """The values of the last change to `name`, as in INITIAL; those of INITIAL where there was none."""
+        system = self._schedules[name]
+        points = system.points(system.GetMyContextFromRoot(root))
+        return np.array(points[-1][1] if points else INITIAL[name])
+
     def _change(self, root: Context, name: str, tick: int, values) -> None:
         system = self._schedules[name]
         system.change(system.GetMyMutableContextFromRoot(root), tick, values)
 
     def hold(self, root: Context, tick: int, held: bool) -> None:
-        """From `tick` on, which has not begun, as in all that follows, the arm is held, or let go."""
+        """From `tick` on, which has not begun, as in all that follows, the arm is held, or let go.
+
+        Where it is being moved, it is let go at the end of that.
+        """
+        system = self._schedules["grip"]
+        points = system.points(system.GetMyContextFromRoot(root))
+        if not held and points:
+            tick = max(tick, points[-1][0])
         self._change(root, "grip", tick, [HOLD if held else FREE, *INITIAL["grip"][1:]])
 
-    def move(self, root: Context, tick: int, target: np.ndarray) -> None:
-        """The arm is moved to `target` (7,), rad, held there, and let go, as under disturbance A."""
+    def move(self, root: Context, tick: int, target: np.ndarray, held: bool = False) -> None:
+        """The arm is moved to `target` (7,), rad, held there, and let go, as under A; `held`: or held on."""
         self._change(root, "grip", tick, [MOVE, *target])
-        self._change(root, "grip", tick + MOVE_TICKS + HELD_TICKS, INITIAL["grip"])
+        self._change(root, "grip", tick + MOVE_TICKS + HELD_TICKS, [HOLD if held else FREE, *INITIAL["grip"][1:]])
 
     def pull(self, root: Context, tick: int, force: np.ndarray) -> None:
         """The hand is pulled by `force` (3,), N, world; raises InputError beyond LARGEST_FORCE."""
-        if not np.all(np.abs(force) <= LARGEST_FORCE):
-            raise InputError(f"the force {list(force)} N is too large: choose at most {LARGEST_FORCE} N a component")
+        require_force(force)
         self._change(root, "force", tick, force)
 
     def put_can(self, root: Context, tick: int, place: np.ndarray) -> None:
@@ -124,6 +136,5 @@ class Hands:
 
     def set_gamma(self, root: Context, tick: int, gamma: float) -> None:
         """The detector's gamma; raises InputError outside of GAMMAS."""
-        if not GAMMAS[0] <= gamma <= GAMMAS[1]:
-            raise InputError(f"gamma {gamma} is outside of {GAMMAS[0]:g} to {GAMMAS[1]:g}: choose one inside")
+        require_gamma(gamma)
         self._change(root, "gamma", tick, [gamma])

@@ -1,6 +1,7 @@
 """What a person's hands did in a run, tick by tick, as a scenario file holds it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,9 @@ from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
 from systems.manual_disturbance import FREE, HOLD, MOVE
 
+LARGEST_FORCE = 60.0  # N, a component of a pull at the hand
+GAMMAS = 1.0, 10_000.0  # smallest and largest that can be chosen
+LARGEST_TICK = 1_000_000  # to which a run would go on
 # By the names of HandsSchedule, the values before the first change.
 INITIAL = {
     "grip": [FREE] + [0.0] * ARM_JOINTS, "force": [0.0] * 3, "can": [math.nan] * 2, "camera": [0.0],
@@ -36,7 +40,10 @@ class HandsSchedule:
         return int(max((rows[-1][0] for rows in vars(self).values() if rows), default=0))
 
     def check(self) -> None:
-        """Raises InputError for rows that are no changes."""
+        """Raises InputError for rows that are no changes, or that the page would have refused.
+
+        Postures and places depend on the world: EpisodeSampler looks at them.
+        """
         for name, rows in vars(self).items():
             before = -1.0
             for row in rows:
@@ -45,13 +52,30 @@ class HandsSchedule:
                     raise InputError(f"hands.{name} has the row {row}: give {wanted}")
                 if row[0] != int(row[0]) or row[0] <= before:
                     raise InputError(f"hands.{name} has the tick {row[0]} after {before}: give whole ones that rise")
+                if row[0] > LARGEST_TICK:
+                    raise InputError(f"hands.{name} has the tick {row[0]:g}: give at most {LARGEST_TICK}")
                 before = row[0]
         for name, allowed in (("grip", (FREE, HOLD, MOVE)), ("camera", range(_faults() if self.camera else 0))):
             for row in getattr(self, name):
                 if row[1] not in allowed:
                     raise InputError(f"hands.{name} has the kind {row[1]}: choose from {[int(k) for k in allowed]}")
-        if any(row[1] <= 0.0 for row in self.gamma):
-            raise InputError("hands.gamma has a value that is not greater than 0: give one that is")
+        for row in self.force:
+            require_force(row[1:])
+        for row in self.gamma:
+            require_gamma(row[1])
+
+
+def require_force(force: Sequence[float] | np.ndarray) -> None:
+    """Raises InputError for a pull (3,), N, that is beyond LARGEST_FORCE."""
+    if not np.all(np.abs(force) <= LARGEST_FORCE):
+        numbers = [float(each) for each in force]
+        raise InputError(f"the force {numbers} N is too large: choose at most {LARGEST_FORCE} N a component")
+
+
+def require_gamma(gamma: float) -> None:
+    """Raises InputError outside of GAMMAS."""
+    if not GAMMAS[0] <= gamma <= GAMMAS[1]:
+        raise InputError(f"gamma {gamma} is outside of {GAMMAS[0]:g} to {GAMMAS[1]:g}: choose one inside")
 
 
 def _faults() -> int:

@@ -1,13 +1,15 @@
 """live.py in a real browser: hold, alpha rises in the page, let go, it falls, the task is done; the end by Ctrl-C.
 
-Skipped without a Chromium on this machine: Debian's is enough, nothing is fetched.
+The first is skipped without a Chromium on this machine.
 """
 
-import shutil
+import re
 import signal
 import socket
 import subprocess
 import sys
+import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -16,11 +18,6 @@ from diagrams.world.scenario import load_scenario
 from models.command_line import ROOT
 from models.errors import InputError
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-)  # fmt: skip
 PATIENCE = 100.0  # s; a few on a free machine
 
 
@@ -53,9 +50,9 @@ class Program:
                 return
         pytest.fail(self.process.stderr.read())
 
-    def interrupt(self):
+    def interrupt(self, number=signal.SIGINT):
         """Exit code, and what was printed since."""
-        self.process.send_signal(signal.SIGINT)
+        self.process.send_signal(number)
         out, errors = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, out, errors
 
@@ -66,19 +63,6 @@ class Program:
         if self.process.poll() is None:
             self.process.kill()
             self.process.communicate()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium on this machine: apt-get install chromium")
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="Playwright is not installed: it is in the extra dev"
-    )
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        yield opened
-        opened.close()
 
 
 def open_page(browser, program):
@@ -127,21 +111,53 @@ def test_hold_alpha_rises_let_go_it_falls_the_task_is_done(browser, tmp_path):
         assert program.process.poll() is None  # no page ends it
         code, out, errors = program.interrupt()
         assert (code, errors) == (0, "")
-        assert " ticks late " in out
+        assert " ticks late at real time " in out
         assert "a tick takes " in out
-    played = load_scenario(tmp_path / "outputs" / "live.yaml")
+    played = load_scenario(tmp_path / "outputs" / "live.yaml")  # of the first scene with hands in it
     assert played.seed == 1
     kinds = [row[1] for row in played.hands.grip]
     assert set(kinds) == {0, 1}
     assert (kinds[0], kinds[-1]) == (1, 0)
 
 
-def test_ctrl_c_without_a_page(tmp_path):
-    with Program(tmp_path) as program:
-        code, out, errors = program.interrupt()
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_without_a_page(number, tmp_path):
+    with Program(tmp_path, "--speed", "0") as program:
+        time.sleep(1.0)
+        code, out, errors = program.interrupt(number)
         assert (code, errors) == (0, "")
-        assert "late" in out or "no tick was run" in out
+        assert int(re.search(r"(\d+) ticks; 0 of 0 ticks late at real time", out).group(1)) > 0
         assert "written" not in out  # nobody did anything
+    assert not list(tmp_path.glob("outputs/*"))
+
+
+class BrokenError(Exception):
+    pass
+
+
+def test_what_was_done_is_written_where_a_tick_raises(tmp_path, monkeypatch):
+    """And where it cannot be written, the program says so and does not hide what was raised."""
+    from diagrams.browser import server
+
+    def serve(run, *_):
+        run.session.tick()
+        run.session.pull([1.0, 0.0, 0.0])
+        raise BrokenError
+
+    monkeypatch.setattr(server, "serve", serve)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BrokenError):
+        live.main(live.parse(["--no-open", "--meshcat-port", str(free_port())]))
+    assert load_scenario(tmp_path / "outputs" / "live.yaml").hands.force == [[1.0, 1.0, 0.0, 0.0]]
+
+
+def test_what_cannot_be_written_at_the_end_is_one_line(capsys):
+    def keep():
+        raise InputError("x cannot be written")
+
+    assert not live._keep(SimpleNamespace(keep=keep))
+    assert capsys.readouterr().err == "error: x cannot be written\n"
+    assert live._keep(SimpleNamespace(keep=lambda: None))
 
 
 def test_it_listens_on_this_machine_alone(tmp_path):
@@ -156,7 +172,8 @@ def test_it_listens_on_this_machine_alone(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["--speed", "-1"], "speed -1.0 is negative"),
+        (["--speed", "-1"], "speed -1.0 cannot be: choose 0 .* or 0.05 and more"),
+        (["--speed", "0.01"], "speed 0.01 cannot be"),
         (["--port", "80"], "--port 80 is no port that can be had"),
         (["--rnn", "perceptron"], "no network 'perceptron'"),
         (["--weights", "nowhere"], "no network 'lstm' in nowhere"),

@@ -6,7 +6,7 @@ import pytest
 from diagrams import pick_place
 from diagrams.browser.page import COLUMNS
 from diagrams.browser.run import Run
-from diagrams.browser.session import KEPT_ROWS, RETURN, TASK, Session
+from diagrams.browser.session import KEPT_EVENTS, KEPT_ROWS, RETURN, TASK, Session
 from diagrams.episodes.record import load_record
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, WEIGHTS
@@ -92,15 +92,61 @@ def test_a_covered_camera_is_black_in_the_page_and_in_the_features(session):
 
 
 def test_memory_is_bounded(session):
+    """More ticks and more events than are kept; what is kept is the newest."""
     session.choose(seed=5)
     for k in range(KEPT_ROWS + 5):
         session.hold("page", k % 2 == 0)
         session.tick()
-    assert len(session.rows) == KEPT_ROWS
-    assert len(session.events) <= session.events.maxlen
-    root = session.rollout.simulator.get_context()
-    assert session.rollout._log.FindLog(root).num_samples() == 0
     session.hold("page", False)
+    assert [row["time"] for row in session.rows] == pytest.approx(0.1 * np.arange(5, KEPT_ROWS + 5))
+    assert len(session.events) == KEPT_EVENTS
+    assert session.events[-1][0] == pytest.approx(0.1 * (KEPT_ROWS + 4))
+    root = session.rollout.simulator.get_context()
+    logs = session.rollout._log, session.rollout._input_log
+    assert [log.FindLog(root).num_samples() for log in logs] == [0, 0]
+    assert not session._narrator.events
+
+
+def test_a_move_under_a_hand_that_holds_leaves_the_arm_held(session):
+    session.choose(seed=3)
+    session.hold("page", True)
+    ticks(session, 2)
+    session.move()
+    ticks(session, 25)
+    assert all(row["active"] for row in session.rows)
+    session.move()
+    ticks(session, 3)
+    session.hold("page", False)
+    ticks(session, 14)
+    assert session.rows[-1]["active"]
+    ticks(session, 3)
+    assert not session.rows[-1]["active"]
+
+
+def test_what_diverged_is_refused_with_words(session, monkeypatch):
+    session.choose(seed=3)
+    ticks(session, 1)
+    with monkeypatch.context() as patch:
+        patch.setattr(session.rollout, "advance", lambda _: False)
+        session.tick()
+    assert (session.ticks, session.diverged) == (1, True)
+    for act in (session.tick, session.move, session.pictures, session.can_xy, session.require_going):
+        with pytest.raises(InputError, match="the simulation diverged: begin another scene"):
+            act()
+    session.leave("a page that goes")
+    session.choose(seed=3)
+    ticks(session, 1)
+
+
+def test_the_can_that_is_put_is_told_and_what_cannot_be_written_is_refused(session, tmp_path):
+    session.choose(seed=3)
+    ticks(session, 2)
+    session.put_can(0.5, 0.04)
+    ticks(session, 2)
+    assert [event for event in session.events if "can is" in event[1]] == [(0.2, "the can is moved on the desk")]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"played\.yaml cannot be written"):
+        session.save(tmp_path / "file" / "played.yaml")
 
 
 def test_a_tick_after_the_task_is_done_waits_for_somebody(session, tmp_path):

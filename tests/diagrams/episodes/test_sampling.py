@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from diagrams.episodes.sampling import (
+    LIVE_DRAWS,
     MOVED_BY,
     ONSET_LEVELS,
     SEED_BASE,
@@ -200,6 +201,27 @@ def test_a_scene_that_leaves_no_way_to_a_posture_is_named(sampler, monkeypatch):
     with pytest.raises(InputError, match=r"no posture 15 to 40 deg off .* give disturbance\.target"):
         sampler.sample(0, "A")
     sampler.sample(0, "B")  # stopped where it is
+
+
+def test_an_arm_is_pushed_away_among_the_cans_as_they_stand(sampler, hand, world, monkeypatch):
+    """A can at a finger is named at once; one in the hand comes along; one that was lifted is not on the desk."""
+    rng, opening = np.random.default_rng(0), world.opening
+    xy, upright = (0.5, 0.0), [1.0, 0.0, 0.0, 0.0]
+    joints = hand.solve_ik(np.array([*xy, 0.25]))
+    neighbour = [*upright, 0.3, -0.4, 0.05]
+    there = np.array([*upright, *hand.grasp_position(joints) - [0.0, 0.0, 0.01], *neighbour])
+    below = np.array([*upright, *xy, 0.05, *neighbour])
+    beside = there + np.array([0, 0, 0, 0, 0, 0.03, 0] + [0] * 7)
+    with pytest.raises(InputError, match="so near to the can to pick that it cannot be moved away: wait"):
+        sampler.pushed_away(rng, np.append(joints, opening), beside)
+    for opened, poses in ((world.closed_opening, there), (opening, below)):
+        target = sampler.pushed_away(rng, np.append(joints, opened), poses)
+        assert np.rad2deg(np.abs(target - joints)).max() > 14.9
+    seen = []
+    monkeypatch.setattr(CollisionChecker, "path_touches", lambda *_: seen.append(1) or "shelf")
+    with pytest.raises(InputError, match=r"no posture was found near by .* wait, or put the can elsewhere"):
+        sampler.pushed_away(rng, np.append(joints, opening), below)
+    assert len(seen) <= LIVE_DRAWS
 
 
 def test_long_paths_are_looked_at_every_degree(world, monkeypatch):

@@ -6,6 +6,7 @@ import pytest
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import record_hash
 from diagrams.episodes.rollout import Rollout
+from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands import HELD_TICKS
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ARM_JOINTS
@@ -43,6 +44,31 @@ def test_without_hands_there_is_none_of_their_systems(rollout):
     assert not names & {"manual_disturbance", "camera_fault", "pull", "hands_grip"}
     with pytest.raises(InputError, match="hands=True"):
         rollout.create_context(Episode(0, CAN, "left", hands=HandsSchedule(grip=[[3, 1.0, *FREE]])))
+
+
+def test_a_run_goes_on_after_the_task_is_done_to_the_last_that_the_hands_did(handed, policy, rollout):
+    """And the switching, of a person's many disturbances, is not judged, whatever was held."""
+    episode = Episode(0, CAN, "left")
+    policy.learn(episode)
+    done, record = rollout.run(episode)
+    assert done.success
+    last = len(record.time) + 30
+    grip = [[12.0, 1.0, *FREE], [16.0, 0.0, *FREE]]
+    hands = HandsSchedule(grip=grip, can=[[last - 5.0, 0.5, 0.02]], gamma=[[float(last), 50.0]])
+    outcome, longer = handed.run(Episode(0, CAN, "left", hands=hands), time_limit=1.0)
+    assert len(longer.time) > last
+    assert not outcome.placed
+    assert not outcome.success
+    assert longer.alpha[:16].max() > 0.9
+    fields = "switch_success", "paper_switch_success", "switch_failure", "false_switches", "detection_delay_s"
+    assert [getattr(outcome, name) for name in fields] == [None] * 5
+    assert outcome.failure == "misplaced"
+    assert ((last - 5) * 0.1, "the can is moved on the desk") in longer.events
+    # At the last tick alone, success ends the run at once.
+    only = HandsSchedule(gamma=[[float(last), 50.0]])
+    outcome, longer = handed.run(Episode(0, CAN, "left", hands=only), time_limit=1.0)
+    assert outcome.success
+    assert len(longer.time) == last + 1
 
 
 def test_held_arm_stands_and_alpha_rises(handed, policy, untouched):
@@ -90,12 +116,12 @@ def test_a_frozen_camera_shows_the_same_picture(handed, policy):
     assert pictures[25].any()
 
 
-def test_gamma_is_turned_from_a_tick_on(handed, policy, untouched):
-    """So low that the errors of an undisturbed run are above it."""
-    gamma = 0.5 * untouched.errors[15:25].max()
-    record = run(handed, policy, HandsSchedule(gamma=[[15.0, gamma]]))
-    assert np.array_equal(record.alpha[:15], untouched.alpha[:15])
-    assert record.alpha[15:26].max() > 0.9 > 0.5 > untouched.alpha.max()
+def test_gamma_is_turned_from_a_tick_on(handed, policy):
+    """So high that what a held arm gives is below it."""
+    grip = [[12.0, 1.0, *FREE], [24.0, 0.0, *FREE]]
+    sharp, dull = (run(handed, policy, HandsSchedule(grip=grip, gamma=gamma)) for gamma in ([], [[14.0, 1e4]]))
+    assert np.array_equal(dull.alpha[:14], sharp.alpha[:14])
+    assert sharp.alpha[14:24].max() > 0.9 > 0.5 > dull.alpha[14:24].max()
 
 
 def test_done_live_is_done_again_to_the_same_bits(handed, policy, tmp_path):
@@ -135,12 +161,42 @@ def test_done_live_is_done_again_to_the_same_bits(handed, policy, tmp_path):
         ({"force": [[2.5, 0, 0, 0]]}, "hands.force has the tick 2.5"),
         ({"can": [[2.0, 0.5, float("nan")]]}, "hands.can has the row"),
         ({"camera": [[2.0, 4.0]]}, "hands.camera has the kind 4.0"),
-        ({"gamma": [[2.0, -1.0]]}, "hands.gamma"),
+        ({"gamma": [[2.0, -1.0]]}, "gamma -1.0 is outside of 1 to 10000"),
+        ({"gamma": [[2.0, 20_000.0]]}, "gamma 20000.0 is outside"),
+        ({"force": [[2.0, 0, -60.5, 0]]}, "-60.5, 0.0. N is too large"),
+        ({"camera": [[1e12, 0.0]]}, "hands.camera has the tick 1e.12: give at most"),
     ],
 )
 def test_what_no_hands_did_is_refused(rows, named):
     with pytest.raises(InputError, match=named):
         Scenario(hands=HandsSchedule(**rows)).check()
+
+
+@pytest.mark.parametrize(
+    ("rows", "named"),
+    [
+        ({"grip": [[1.0, 2.0, 9.0, *FREE[1:]]]}, "hands.grip .* outside of the joint limits"),
+        ({"can": [[1.0, 0.9, 0.0]]}, "out of reach"),
+    ],
+)
+def test_what_depends_on_the_world_is_refused_before_the_run(sampler, rows, named):
+    with pytest.raises(InputError, match=named):
+        sampler.episode(Scenario(disturbance=DisturbanceSpec(), hands=HandsSchedule(**rows)))
+
+
+def test_a_hand_that_holds_goes_on_after_a_move_and_a_release_waits_for_its_end(handed):
+    root, hands = handed.diagram.CreateDefaultContext(), handed.hands
+    end, target = 5.0 + MOVE_TICKS + HELD_TICKS, [0.1] * ARM_JOINTS
+    hands.hold(root, 2, True)
+    hands.move(root, 5, np.array(target), held=True)
+    before = [[2.0, 1.0, *FREE], [5.0, 2.0, *target]]
+    assert hands.schedule(root).grip == [*before, [end, 1.0, *FREE]]
+    hands.hold(root, 9, False)
+    assert hands.schedule(root).grip == [*before, [end, 0.0, *FREE]]
+    hands.hold(root, 30, True)
+    hands.hold(root, 31, False)
+    assert [row[:2] for row in hands.schedule(root).grip[2:]] == [[end, 0.0], [30.0, 1.0], [31.0, 0.0]]
+    assert hands.newest(root, "force").tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
