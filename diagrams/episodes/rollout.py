@@ -72,7 +72,7 @@ class Rollout:
         require_trained_for(world, policy)
         self.world, self.policy = world, policy
         builder = DiagramBuilder()
-        self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None))
+        self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None, pulled=hands))
         lower, upper, speed = controller_limits(self.station)
         if detector is None:
             detector = DETECTORS[RECALL].build(policy, ARM_JOINTS, {})

@@ -134,7 +134,7 @@ class PickPlaceStation(Diagram):
 
     - `desired_posture` (8): joint angles, rad, and gap of the fingers, m, that the servo tracks.
     - `can_place` (2): see `declare_can_place`; need not be connected.
-    - `applied_spatial_force`: list of ExternallyAppliedSpatialForce on bodies of the plant; need not be connected.
+    - `applied_spatial_force`: list of ExternallyAppliedSpatialForce on bodies of the plant; with pulled=True only.
     - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m.
     - `finger_gap` (1): that gap as measured, m; it stalls on the can.
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
@@ -144,8 +144,11 @@ class PickPlaceStation(Diagram):
     - `film_image`: RGBA image of a camera for people, `FILM` pixels; with film_camera=True only.
     """
 
-    def __init__(self, world: World, camera: bool = True, film_camera: bool = False):
-        """`camera`: render for the network; `film_camera`: for people too. Raises InputError without a renderer."""
+    def __init__(self, world: World, camera: bool = True, film_camera: bool = False, pulled: bool = False):
+        """`camera`: render for the network; `film_camera`: for people too; `pulled`: bodies, by forces from outside.
+
+        Raises InputError without a renderer.
+        """
         super().__init__()
         self.world = world
         builder = DiagramBuilder()
@@ -166,7 +169,8 @@ class PickPlaceStation(Diagram):
         self._wire_servo(builder)
         self._wire_gravity_compensation(builder)
         builder.ExportInput(declare_can_place(self.plant, can_body(self.plant, CANS[0]), world.timing), "can_place")
-        builder.ExportInput(self.plant.get_applied_spatial_force_input_port(), "applied_spatial_force")
+        if pulled:
+            builder.ExportInput(self.plant.get_applied_spatial_force_input_port(), "applied_spatial_force")
         if camera:
             self._add_camera(builder, film_camera)
         self.approach_meter = builder.AddNamedSystem("approach_meter", ApproachMeter(self.plant))
