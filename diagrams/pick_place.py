@@ -129,19 +129,23 @@ def main(cli: PickPlaceArguments) -> int:
         )
     word = "done" if outcome.success else f"failed ({outcome.failure})"
     word = "void: the disturbance never came" if outcome.void else word
-    if cli.json is not None:
-        cli.json.write_text(json.dumps(outcome.to_dict(), indent=2) + "\n")
-    if cli.record is not None:
-        save_record(cli.record, record, outcome)
-    if cli.mcap is not None:
-        from diagrams.episodes.mcap_file import save_mcap
-
-        save_mcap(cli.mcap, record, outcome, cli.world)
     meshcat.StopRecording()
     meshcat.PublishRecording()
     if rollout.video is not None:
         rollout.video.Save()
-    cli.replay.write_text(meshcat.StaticHtml())
+
+    def to_mcap(path: Path) -> None:
+        from diagrams.episodes.mcap_file import save_mcap
+
+        save_mcap(path, record, outcome, cli.world)
+
+    results: list[tuple[Path | None, Callable[[Path], object]]] = [
+        (cli.json, lambda path: path.write_text(json.dumps(outcome.to_dict(), indent=2) + "\n")),
+        (cli.record, lambda path: save_record(path, record, outcome)),
+        (cli.mcap, to_mcap),
+        (cli.replay, lambda path: path.write_text(meshcat.StaticHtml())),
+    ]
+    all_kept = all([_kept(path, write) for path, write in results if path is not None])
     title = f"{rollout.policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
 
     def draw_timeline() -> None:
@@ -172,7 +176,17 @@ def main(cli: PickPlaceArguments) -> int:
     if cli.profile:
         print(tick_table(profiler, len(record.time)))
     print(f"written: {', '.join(str(path) for path in written if path.exists())}")
-    return 0 if outcome.success else 1
+    return (0 if outcome.success else 1) if all_kept else 2
+
+
+def _kept(path: Path, write: Callable[[Path], object]) -> bool:
+    """Whether `path` could be written, which is said if not: what else there is of the run is not lost with it."""
+    try:
+        write(path)
+    except OSError as error:
+        print(f"error: {path} cannot be written ({error.strerror}): make room, or choose another", file=sys.stderr)
+        return False
+    return True
 
 
 def _draw(what: str, draw: Callable[[], None]) -> None:

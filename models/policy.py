@@ -131,10 +131,15 @@ class Policy(ABC):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """What the controller asks for, scaled: see models/inference.py; without `recalls` nothing is recalled.
 
-        Raises InputError where `act` answers with other sizes than it says, or with what is not finite.
+        Raises InputError where `act` raises, or answers with other sizes than it says, or with what is not finite.
         """
         size = self.posture_size
-        done = self.act(Seen(self.scaling.unscale(x[:size]), np.array(x[size:]), picture), np.array(state))
+        seen = Seen(self.scaling.unscale(x[:size]), np.array(x[size:]), picture)
+        try:
+            done = self.act(seen, np.array(state))
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+            raise InputError(f"{self.name}.act raised {reason}, at the posture {seen.posture}: mend it") from error
         features = x[size:] if done.features is None else np.asarray(done.features, float)
         recalled = done.recalled
         wanted = (size,), (self.feature_size,), (self.state_size,), (self.horizon, size) if self.recalls else None

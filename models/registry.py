@@ -32,16 +32,16 @@ class Registry(Generic[T]):
         """The class that `spec` names: a name, or `package.module:Class`. Raises InputError where there is none."""
         known = self._specs()
         if spec not in known and ":" not in spec:
-            raise InputError(
-                f"there is no {self.what} '{spec}': choose from {', '.join(known)}, or give one as package.module:Class"
-            )
+            choices = f"choose from {', '.join(known)}, or give" if known else "give"
+            raise InputError(f"there is no {self.what} '{spec}': {choices} one as package.module:Class")
         module, _, name = known.get(spec, spec).partition(":")
         try:
             entry = getattr(importlib.import_module(module), name)
-        except (ImportError, AttributeError, ValueError) as error:
+        except Exception as error:  # another one's module may raise anything
             if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS["train"]:
                 raise  # the program names the extra
-            wrong = f"the {self.what} '{spec}' cannot be loaded ({error}): check the name and PYTHONPATH"
+            reason = f"{type(error).__name__}: {error}"
+            wrong = f"the {self.what} '{spec}' cannot be loaded ({reason}): check the module, the name and PYTHONPATH"
             raise InputError(wrong) from error
         if not isinstance(getattr(entry, "name", None), str):
             raise InputError(f"the {self.what} '{spec}' has no attribute `name`: give it a short one")

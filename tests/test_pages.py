@@ -146,11 +146,13 @@ def test_ci_runs_the_test_command_of_the_front_page():
 def test_every_weight_file_has_its_card():
     from models.files.container import file_hash
 
-    card = (ROOT / "models" / "weights" / "README.md").read_text()
-    files = [path for path in (ROOT / "models" / "weights").iterdir() if path.suffix != ".md"]
+    weights = ROOT / "models" / "weights"
+    card = (weights / "README.md").read_text()
+    files = [path for path in weights.rglob("*") if path.is_file() and path.suffix != ".md"]
     networks = {f"{name}{seed}" for name in ("lstm", "gru", "mtrnn") for seed in ("", "-1", "-2")}
-    assert {file.stem for file in files if file.suffix == ".onnx"} == {"encoder", "decoder", *networks}
+    onnx = {str(file.relative_to(weights).with_suffix("")) for file in files if file.suffix == ".onnx"}
+    assert onnx == {"encoder", "decoder", "iiwa/encoder", "iiwa/lstm", *networks}
     for file in files:
-        row = next(line for line in card.splitlines() if line.startswith(f"| `{file.name}`"))
+        row = next(line for line in card.splitlines() if line.startswith(f"| `{file.relative_to(weights)}`"))
         assert f"| {file_hash(file)[:12]} |" in row
         assert f"| {file.stat().st_size:,} |" in row

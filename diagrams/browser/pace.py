@@ -34,7 +34,7 @@ class Pace:
         self._due: float | None = None
         self.lengths = Lengths()  # of the ticks
         self._recent = np.zeros(RECENT, bool)
-        self.ticks = self.late = self._paced = self._timed = 0  # _timed: at real time, those that may be late
+        self.ticks = self.late = self._paced = self._timed = 0  # _paced: at this speed; _timed: at real time
 
     @property
     def step(self) -> float:
@@ -49,6 +49,7 @@ class Pace:
         """Another one; what was late at the last is forgotten."""
         self.speed = speed
         self._recent[:] = False
+        self._paced = 0
         self.rest()
 
     def wait(self, now: float) -> float:
@@ -73,7 +74,7 @@ class Pace:
 
     def behind(self) -> float:
         """Share of the last ticks that were late."""
-        return float(self._recent.mean())
+        return float(self._recent.sum() / max(1, min(self._paced, RECENT)))
 
     def words(self) -> str:
         """All of it, in a line."""

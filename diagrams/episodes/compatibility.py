@@ -30,7 +30,12 @@ def require_trained_for(world: World, policy) -> None:
     Of a policy of one's own (models/policy.py) nothing is taken for granted but its initial posture.
     """
     own = getattr(policy, "calibrated_beside", False)
-    trained: dict[str, Any] = ({} if own else TRAINED_IN) | _plain(getattr(policy, "metadata", {}).get("world", {}))
+    said = _plain(getattr(policy, "metadata", {}).get("world", {}))
+    if own and (unknown := sorted(set(said) - set(TRAINED_IN))):
+        raise InputError(
+            f"the policy '{policy.name}' says of its world {', '.join(unknown)}: choose from {', '.join(TRAINED_IN)}"
+        )
+    trained: dict[str, Any] = ({} if own else TRAINED_IN) | said
     trained |= {"initial posture": np.asarray(policy.initial_posture), "components": len(policy.initial_posture)}
     initial = world.initial_posture
     have = facts(world) | {"initial posture": initial, "components": len(initial)}

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -263,3 +264,17 @@ def test_second_run_is_the_same(shipped):
         first.pop(name)
         second.pop(name)
     assert first == second
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk without room")
+def test_a_full_disk_costs_that_file_alone(tmp_path, untrained):
+    (tmp_path / "o.json").symlink_to("/dev/full")
+    done = start(
+        tmp_path, "--weights", untrained, "--disturbance", "none", "--json", "o.json", "--record", "o.npz", "--mcap",
+        "o.mcap",
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "error: o.json cannot be written (No space left on device)" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert "task failed" in done.stdout
+    assert all((tmp_path / name).stat().st_size for name in ("o.npz", "o.mcap"))

@@ -75,7 +75,7 @@ def test_it_is_found_by_its_name():
         ({"feature_size": 1.5}, "has the feature_size 1.5"),
         ({"files": ("nowhere.npz",)}, "has no file nowhere.npz"),
         ({"act": lambda self, seen, state: None}, r"Drift' does not act \(AttributeError"),
-        ({"act": lambda self, seen, state: 1 / 0}, r"Drift' does not act \(ZeroDivisionError"),
+        ({"act": lambda self, seen, state: 1 / 0}, r"drift\.act raised ZeroDivisionError"),
         ({"act": lambda self, seen, state: Decision(np.zeros(7))}, r"drift\.act decided on posture \(7,\)"),
         ({"act": lambda self, seen, state: Decision(np.full(8, np.nan))}, "not finite"),
         ({"encode": lambda self, picture: np.zeros(2)}, r"encode gives \(2,\), feature_size is 30"),
@@ -113,3 +113,16 @@ def test_a_changed_base_class_changes_the_hash(tmp_path, monkeypatch):
 
 def test_without_heads_it_recalls_nothing(tmp_path):
     assert own_policy(f"{HERE}:Remembering", tmp_path).recalls is False
+
+
+def test_a_module_that_raises_and_an_act_that_does_are_named(tmp_path, monkeypatch):
+    (tmp_path / "no_module.py").write_text("raise RuntimeError('boom')\n")
+    (tmp_path / "no_python.py").write_text("def (\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for spec, named in (("no_module:X", "cannot be loaded.*RuntimeError: boom"), ("no_python:X", "SyntaxError")):
+        with pytest.raises(InputError, match=named):
+            make_policy(spec)
+    policy = Drift()
+    monkeypatch.setattr(policy, "act", lambda seen, state: {}["late"])
+    with pytest.raises(InputError, match=r"drift\.act raised KeyError: 'late'"):
+        policy.step(np.zeros(38), np.zeros(0))

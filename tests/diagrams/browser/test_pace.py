@@ -59,3 +59,14 @@ def test_share_of_the_last_ticks_and_words():
     assert pace.lengths.quantile(0.5) == pytest.approx(0.02, abs=0.001)
     assert pace.lengths.quantile(0.999) == pytest.approx(0.25, abs=0.001)
     assert "a tick takes 20.0 ms in the median, 250" in pace.words()
+
+
+def test_behind_is_a_share_of_the_ticks_at_this_speed():
+    pace = Pace(0.1, 5.0)
+    for k in range(4):
+        pace.ran(0.1 * k, 0.1 * k + 0.09)  # 20 ms are allowed
+    assert pace.behind() == 1.0
+    pace.set_speed(1.0)
+    assert pace.behind() == 0.0
+    pace.ran(1.0, 1.3)
+    assert pace.behind() == 1.0
