@@ -55,6 +55,8 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
 # The page runs until Ctrl-C.
 s/python diagrams\/live\.py/timeout --preserve-status -s INT 20 python diagrams\/live.py --no-open/
+# Nobody plays in it: what a person would have left.
+s/^python diagrams\/pick_place\.py --scenario outputs\/live\.yaml/mkdir -p outputs; echo "hands: {force: [[40, 0, 20, 0], [50, 0, 0, 0]]}" > outputs\/live.yaml; &/
 # Analyses: small samples.
 /analysis\.py return/s/$/ --samples 20 --draws 5/
 /analysis\.py resume/s/$/ --starts 15 --runs 2/

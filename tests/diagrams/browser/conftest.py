@@ -11,7 +11,8 @@ FLAGS = (
 )  # fmt: skip
 
 
-@pytest.fixture(scope="session")
+# Not for the session: while it is open, its event loop runs, and the server of another test could have none.
+@pytest.fixture(scope="module")
 def browser():
     if CHROMIUM is None:
         pytest.skip("there is no Chromium on this machine: apt-get install chromium")
