@@ -20,7 +20,7 @@ from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
 from diagrams.sweeps.plan import SweepArguments, plan
-from diagrams.sweeps.task import FILES, HASHES, Task, error_row, run_task
+from diagrams.sweeps.task import FILES, HASHES, Task, believed, error_row, run_task
 from diagrams.world.scenario import load_world
 from models.command_line import require, run
 from models.errors import InputError
@@ -40,7 +40,9 @@ def workers(arguments: SweepArguments, names: list[str], most: int) -> tuple[Any
         return Pool(min(arguments.workers, most)), partial(run_task, arguments.weights)
     from diagrams.sweeps.cluster import DaskPool
 
-    cluster = DaskPool(arguments.scheduler, {name: (arguments.weights / name).read_bytes() for name in names})
+    files = {name: (arguments.weights / name).read_bytes() for name in names}
+    ca, cert, key = arguments.tls_ca, arguments.tls_cert, arguments.tls_key
+    cluster = DaskPool(arguments.scheduler, files, (ca, cert, key) if ca and cert and key else None)
     return cluster, cluster.with_files(run_task)
 
 
@@ -69,7 +71,7 @@ def main(arguments: SweepArguments) -> int:
             print(f"{len(tasks)} episodes, {done} of them done; starting the workers ...", flush=True)
             pool, function = workers(arguments, names, len(missing))
             with pool, tqdm(total=len(tasks), initial=done, unit="episode", smoothing=0.1, disable=None) as bar:
-                for task, row in pool.run(function, missing, given_up=error_row):
+                for task, row in believed(pool.run(function, missing, given_up=error_row)):
                     for folder in FILES.keys() & row.keys():
                         write_bytes(out / folder / f"{task.key}{FILES[folder]}", row.pop(folder))
                     store.add(task.key, row)

@@ -8,15 +8,15 @@ run goes on where it stopped; the same seed gives the same content. Exit code 1:
 
 import dataclasses
 import json
-import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import tyro
 
 from diagrams.episodes.compatibility import facts
+from diagrams.episodes.cores import cores
 from diagrams.episodes.pool import Pool, kept_in_thread
 from diagrams.world.names import ARM_JOINTS
 from models.command_line import require, run
@@ -31,7 +31,7 @@ class TeachArguments:
     format: Literal["robomimic", "lerobot"] = "robomimic"  # lerobot: LeRobotDataset v3; what is trained here: robomimic
     world: Path | None = None  # YAML file of the world to teach in
     seed: int = 0  # samples how the cans are turned about their axes and how the arm is pushed off its path
-    workers: int = os.cpu_count() or 1  # processes
+    workers: int = field(default_factory=cores)  # processes
     limit: int | None = None  # only so many demonstrations (for trying out)
 
 

@@ -18,6 +18,8 @@ ROOMS: tuple[str, ...] = (
     )),
 )  # fmt: skip
 
+VERSIONS = ("drake", "numpy", "onnxruntime", "opencv-python-headless")  # of these packages: they decide the bits
+
 
 @functools.cache
 def code_hash(*rooms: str) -> str:
@@ -36,5 +38,4 @@ def fingerprint(world: World, *rooms: str, **more: Any) -> dict[str, Any]:
     for name, value in dataclasses.asdict(world).items():
         parts = {f".{part}": entry for part, entry in value.items()} if isinstance(value, dict) else {"": value}
         entries |= {f"world.{name}{part}": entry for part, entry in parts.items()}
-    versions = {name: version(name) for name in ("drake", "onnxruntime")}  # they decide the bits
-    return {"code": code_hash(*rooms)} | versions | entries | more
+    return {"code": code_hash(*rooms)} | {name: version(name) for name in VERSIONS} | entries | more

@@ -2,12 +2,12 @@
 
 import itertools
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from diagrams.episodes.cores import cores
 from diagrams.episodes.pool import MOST_WORKERS
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
 from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
@@ -37,8 +37,11 @@ class SweepArguments:
     until: Literal["task", "switching"] = "task"  # switching: ends once that has failed; the task is not judged
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
     world: Path | None = None  # YAML file of the world, over the default one
-    workers: int = os.cpu_count() or 1  # processes of this machine
-    scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
+    workers: int = field(default_factory=cores)  # processes of this machine
+    scheduler: str | None = None  # address of a running Dask cluster, tcp:// or tls://...; its own workers are used
+    tls_ca: Path | None = None  # for tls://: file of the authority that signed the cluster's certificates, PEM
+    tls_cert: Path | None = None  # and of the certificate that this program shows
+    tls_key: Path | None = None  # and of its key
     weights: Path = WEIGHTS  # folder of the trained networks
     out: Path = Path("outputs/sweep")  # folder of rows.jsonl, episodes.parquet and summary.json
     keep_records: bool = False  # keep the record of each episode that is run in OUT/records
@@ -66,12 +69,27 @@ class SweepArguments:
             if (value := getattr(self, name)) != getattr(networks, name):
                 option, words = f"--{name.replace('_', '-')}", " ".join(map(str, value))
                 raise InputError(f"{option} {words} is of networks, which --policy replaces: leave one out")
+        self._check_tls()
         for gamma in self.gamma:
             if not 0.0 < gamma < math.inf:
                 raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
         for option, given in (("--keep-records", self.keep_records), ("--mcap", self.mcap)):
             if given and self.until != "task":
                 raise InputError(f"{option} keeps whole episodes, which --until switching cuts short: leave one out")
+
+    def _check_tls(self) -> None:
+        files = {"--tls-ca": self.tls_ca, "--tls-cert": self.tls_cert, "--tls-key": self.tls_key}
+        given = [option for option, file in files.items() if file is not None]
+        if 0 < len(given) < len(files):
+            raise InputError(f"{' and '.join(given)} alone will not do: give {', '.join(files)}, or none of them")
+        encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
+        if encrypted and not given:
+            raise InputError(f"the scheduler {self.scheduler} speaks TLS: give {', '.join(files)}")
+        if given and not encrypted:
+            raise InputError(f"{given[0]} is for a --scheduler at tls://..., not {self.scheduler}: leave one out")
+        for option, file in files.items():
+            if file is not None and not file.is_file():
+                raise InputError(f"{option} {file} is no file: give one in the PEM format")
 
 
 def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]]:

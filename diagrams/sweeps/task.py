@@ -2,6 +2,7 @@
 
 import dataclasses
 import traceback
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,9 @@ from systems.detectors import DETECTORS
 HASHES = ("weights_hash", "encoder_hash", "detector_hash")
 # Entries of a row that are no column of the table: by the folder in --out, the content of a file there, and its suffix.
 FILES = {"records": ".npz", "mcap": ".mcap"}
+
+MACHINE = ("WorkerDied", "KilledWorker", "MemoryError")  # errors that may say nothing of the episode
+MOST_LOST = 3  # episodes with such an error and no other
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,27 @@ def error_row(task: Task, error: BaseException) -> dict[str, Any]:
         "error": f"{type(error).__name__}: {' '.join(str(error).split())}",
         "traceback": "".join(traceback.format_exception(error)),
     }
+
+
+def believed(rows: Iterable[tuple[Task, dict[str, Any]]]) -> Iterator[tuple[Task, dict[str, Any]]]:
+    """Passes rows on, but for those of MACHINE: these when an episode was finished, and so it was not the machine.
+
+    Raises InputError, and none of them is passed on, after MOST_LOST or at the end where none was finished.
+    """
+    held, finished = list[tuple[Task, dict[str, Any]]](), False
+    for task, row in rows:
+        finished = finished or not (row["error"] or "").startswith(MACHINE)
+        held.append((task, row))
+        if finished:
+            yield from held
+            held.clear()
+        elif len(held) == MOST_LOST:
+            break
+    if held:
+        raise InputError(
+            f"{len(held)} episodes and none finished ({held[0][1]['error']}): give each worker 1 GB of memory or more, "
+            "or use fewer; then the same command goes on"
+        )
 
 
 def _peak(errors: np.ndarray) -> float | None:
