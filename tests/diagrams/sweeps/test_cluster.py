@@ -155,7 +155,9 @@ def test_a_worker_without_this_program_is_refused(cluster, monkeypatch):
         return {"tcp://worker": ModuleNotFoundError("No module named 'diagrams'")}
 
     monkeypatch.setattr(cluster_module.Client, "run", run)
-    with pytest.raises(InputError, match="tcp://worker cannot run this program .No module named 'diagrams'.: start it"):
+    with pytest.raises(
+        InputError, match=r"tcp://worker cannot run this program .No module named 'diagrams'.: start it"
+    ):
         DaskPool(cluster.scheduler_address, {})
 
 
@@ -170,7 +172,7 @@ def test_a_cluster_without_workers_is_not_waited_for_in_silence(monkeypatch, cap
     with LocalCluster(processes=False, **LOCAL) as cluster:
         with DaskPool(cluster.scheduler_address, {}) as pool:
             cluster.scale(0)
-            with pytest.raises(InputError, match="has had no worker for 1 s: start some .dask worker tcp://.*goes on"):
+            with pytest.raises(InputError, match=r"has had no worker for 1 s: start some .dask worker tcp://.*goes on"):
                 list(pool.run(fail, ["the arm"]))
         with pytest.raises(InputError, match="has had no worker"):
             DaskPool(cluster.scheduler_address, {})
@@ -217,9 +219,9 @@ def test_encrypted(authorities, monkeypatch):
             found = list(pool.run(pool.with_files(sweep_fakes.task_with_files), [make_task()]))
             assert [row["vacant"] for _, row in found] == ["a one"]
         monkeypatch.setattr(cluster_module, "PATIENCE", 1.0)
-        with pytest.raises(InputError, match="no Dask scheduler at tls://.*who signed --tls-cert"):
+        with pytest.raises(InputError, match=r"no Dask scheduler at tls://.*who signed --tls-cert"):
             DaskPool(cluster.scheduler_address, {}, another)
-        with pytest.raises(InputError, match="no Dask scheduler at tcp://.*check the address"):
+        with pytest.raises(InputError, match=r"no Dask scheduler at tcp://.*check the address"):
             DaskPool(cluster.scheduler_address.replace("tls", "tcp"), {})
     with pytest.raises(InputError, match="cannot be used for TLS"):
         DaskPool("tls://127.0.0.1:1", {}, (ours[0], ours[1], another[2]))
