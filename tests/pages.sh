@@ -53,6 +53,9 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /iiwa/s/models\/weights\/(encoder|lstm)\.onnx/models\/weights\/iiwa\/\1.onnx/g
 /baselines\.py/s/lstm\*\.onnx/lstm.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
+# Campaigns: hours on free cores; the versions need other Pythons.
+/tests\/campaigns\//s/--count [0-9]+/--count 1/
+s/^tests\/campaigns\/versions\.sh/test -x &/
 # The page runs until Ctrl-C.
 s/python diagrams\/live\.py/timeout --preserve-status -s INT 20 python diagrams\/live.py --no-open/
 # Nobody plays in it: what a person would have left.

@@ -8,8 +8,11 @@ Exit code 1: a golden output is off by more than its tolerance (tests/models/tes
 
 import hashlib
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 import tyro

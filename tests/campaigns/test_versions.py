@@ -18,8 +18,8 @@ def lowest_of_project():
     for requirement in asked:
         if requirement.startswith("hindsight["):
             continue
-        name, bounds = re.fullmatch(r"([\w-]+)(?:\[[\w,]+\])?(.*)", requirement).groups()
-        low, *others = bounds.split(",")
+        name, bounds = re.fullmatch(r"([\w-]+)(?:\[[\w,]+\])?([^;]*)(?:;.*)?", requirement).groups()
+        low, *others = bounds.strip().split(",")
         assert low.startswith("==") or any(bound.startswith("<") for bound in others), requirement
         assert re.fullmatch(r"(>=|==)[\d.]+\*?", low), requirement
         assert found.setdefault(name, low[2:]) == low[2:], f"two lower bounds of {name}"
