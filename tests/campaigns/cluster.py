@@ -331,7 +331,7 @@ def another_program(case: Case) -> str:
 def little_memory(case: Case) -> str:
     case.start_scheduler()
     for number in range(WORKERS):
-        case.start_worker(number, "0.5GB" if number == 1 else "2GB")
+        case.start_worker(number, "0.5GB" if number == WORKERS - 1 else "2GB")
     case.wait_for_workers()
     return case.refused(case.start_driver(), "may use 0.50 GB of memory", "--memory-limit")
 
