@@ -23,7 +23,8 @@ HASHES = ("weights_hash", "encoder_hash", "detector_hash")
 # Entries of a row that are no column of the table: by the folder in --out, the content of a file there, and its suffix.
 FILES = {"records": ".npz", "mcap": ".mcap"}
 
-MACHINE = ("WorkerDied", "KilledWorker", "MemoryError")  # errors that may say nothing of the episode
+DEATHS = ("WorkerDied", "KilledWorker", "MemoryError")
+MACHINE = (*DEATHS, "ImportError", "ModuleNotFoundError")  # errors that may say nothing of the episode
 MOST_LOST = 3  # episodes with such an error and no other
 
 
@@ -129,10 +130,10 @@ def believed(rows: Iterable[tuple[Task, dict[str, Any]]]) -> Iterator[tuple[Task
         elif len(held) == MOST_LOST:
             break
     if held:
-        raise InputError(
-            f"{len(held)} episodes and none finished ({held[0][1]['error']}): give each worker 1 GB of memory or more, "
-            "or use fewer; then the same command goes on"
-        )
+        error = held[0][1]["error"]
+        memory = "give each worker 1 GB of memory or more, or use fewer"
+        remedy = memory if error.startswith(DEATHS) else "bring its packages to the versions of pyproject.toml"
+        raise InputError(f"{len(held)} episodes and none finished ({error}): {remedy}; then the same command goes on")
 
 
 def _peak(errors: np.ndarray) -> float | None:

@@ -187,6 +187,11 @@ def test_rows_of_workers_without_memory_are_not_believed():
     for rows in (died, died[:1]):
         with pytest.raises(InputError, match="give each worker 1 GB of memory or more"):
             list(believed(rows))
+    lacking = [(task, error_row(task, ImportError("no foxglove"))) for task in tasks]
+    with pytest.raises(
+        InputError, match=r"none finished \(ImportError: no foxglove\): bring its packages to the versions"
+    ):
+        list(believed(lacking))
     for other in (finished, raised):  # then it is these episodes
         assert list(believed([*died[:2], other, died[3]])) == [*died[:2], other, died[3]]
     # After three nothing more is run.
