@@ -25,6 +25,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.ghost import add_ghost
 from diagrams.world.hands import Hands
 from diagrams.world.names import ARM_JOINTS, other_spot
+from diagrams.world.requirements import Requirements, requirements
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
@@ -35,8 +36,9 @@ from systems.switched_controller import SwitchedController
 
 COMMAND = "desired_posture"  # as it comes out of the clearance filter
 FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into it
-# Outputs of the controller that are logged, under their own names.
-LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features")
+# Outputs of the controller that are logged, under their own names; and of what watches it.
+SIGNALS = "signals"
+LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features", SIGNALS)
 WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
 JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
@@ -130,8 +132,11 @@ class Rollout:
         builder.Connect(disturbed, station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
         builder.Connect(place, station.GetInputPort("can_place"))
+        seen = (controller.GetOutputPort("alpha"), active, controller.GetOutputPort("measured_posture"), self._command)
+        self._requirements = Requirements(builder, world, station, *seen)
         # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
-        logged = [self._command if name == COMMAND else controller.GetOutputPort(name) for name in LOGGED]
+        others = {COMMAND: self._command, SIGNALS: self._requirements.signals}
+        logged = [others[name] if name in others else controller.GetOutputPort(name) for name in LOGGED]
         self._sizes = [port.size() for port in logged]
         self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
         for i, port in enumerate(logged):
@@ -146,7 +151,10 @@ class Rollout:
                 (controller, "measured_posture"), (controller, "alpha"), (self.can_mover, "taken"),
                 (station, "can_poses"), (plant, "state"), (station, "approach_distance"),
             )
-        } | {name: (port.get_system(), port) for name, port in (("active", active), ("rgb_image", image))}  # fmt: skip
+        } | {
+            name: (port.get_system(), port)
+            for name, port in (("active", active), ("rgb_image", image), ("robustness", self._requirements.robustness))
+        }  # fmt: skip
         self.video = None
         if video is not None:
             from pydrake.visualization import VideoWriter
@@ -244,6 +252,7 @@ class Rollout:
             judge(earlier, False)
         # A person may have gone on after the task was done.
         while k < limit + switching.ticks_disturbed and not (success and k > episode.hands.last_tick) and not cut:
+            began = time.perf_counter()
             # Half a plant step before the tick the plant is as the tick sees it, and no event is pending.
             if keep is not None and k and not homing and self.advance(k * period - 0.5 * self.world.timing.time_step):
                 port, context = ports["approach_distance"]
@@ -270,6 +279,7 @@ class Rollout:
                 home and not active and monitor.success(cans, np.array(rows["posture"]), self.station.finger_gap(root))
             )
             cut = switching.over(until)
+            rows["tick_seconds"].append(time.perf_counter() - began)
             k += 1
             if on_tick is not None:
                 on_tick(k)
@@ -287,6 +297,11 @@ class Rollout:
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
+
+    def robustness(self) -> dict[str, float]:
+        """How well the run so far keeps each requirement of diagrams/world/requirements.stl; negative: it is broken."""
+        names = requirements(self.world.timing.period)
+        return dict(zip(names, self.judged("robustness").tolist(), strict=True))
 
     def judged(self, name: str) -> np.ndarray:
         """The value of a port of JUDGED, or of the plant's state, now."""
