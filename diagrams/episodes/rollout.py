@@ -25,7 +25,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.ghost import add_ghost
 from diagrams.world.hands import Hands
 from diagrams.world.names import ARM_JOINTS, other_spot
-from diagrams.world.requirements import Requirements, requirements
+from diagrams.world.requirements import Requirements
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
@@ -47,7 +47,7 @@ class Rollout:
     """Station, controller and disturbance, wired as systems/README.md says.
 
     Everything that runs is in `diagram`, all its state in the Context: the loop of a Simulator of one's own, which
-    systems/README.md shows, gives the same bits as `run`.
+    systems/README.md shows, gives the same bits as `run`. What watches the run is `requirements`.
     """
 
     def __init__(
@@ -133,9 +133,9 @@ class Rollout:
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
         builder.Connect(place, station.GetInputPort("can_place"))
         seen = (controller.GetOutputPort("alpha"), active, controller.GetOutputPort("measured_posture"), self._command)
-        self._requirements = Requirements(builder, world, station, *seen)
+        self.requirements = Requirements(builder, world, station, *seen)
         # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
-        others = {COMMAND: self._command, SIGNALS: self._requirements.signals}
+        others = {COMMAND: self._command, SIGNALS: self.requirements.signals}
         logged = [others[name] if name in others else controller.GetOutputPort(name) for name in LOGGED]
         self._sizes = [port.size() for port in logged]
         self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
@@ -151,10 +151,7 @@ class Rollout:
                 (controller, "measured_posture"), (controller, "alpha"), (self.can_mover, "taken"),
                 (station, "can_poses"), (plant, "state"), (station, "approach_distance"),
             )
-        } | {
-            name: (port.get_system(), port)
-            for name, port in (("active", active), ("rgb_image", image), ("robustness", self._requirements.robustness))
-        }  # fmt: skip
+        } | {name: (port.get_system(), port) for name, port in (("active", active), ("rgb_image", image))}  # fmt: skip
         self.video = None
         if video is not None:
             from pydrake.visualization import VideoWriter
@@ -288,20 +285,10 @@ class Rollout:
         arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
         record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
         seen = monitor, record, switching, way_home, success, diverged, can_moved
-        outcome = make_outcome(episode, *seen, period, self.policy.hash)
-        if until != "task":  # what was cut short is not judged
-            outcome.success = None
-            outcome.failure = outcome.failure if diverged else None
-            outcome.switch_success = outcome.switch_success if until == "switching" else None
-            outcome.paper_switch_success = outcome.paper_switch_success if until == "as_paper" else None
+        outcome = make_outcome(episode, *seen, period, self.policy.hash, until)
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
-
-    def robustness(self) -> dict[str, float]:
-        """How well the run so far keeps each requirement of diagrams/world/requirements.stl; negative: it is broken."""
-        names = requirements(self.world.timing.period)
-        return dict(zip(names, self.judged("robustness").tolist(), strict=True))
 
     def judged(self, name: str) -> np.ndarray:
         """The value of a port of JUDGED, or of the plant's state, now."""

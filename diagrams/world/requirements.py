@@ -4,7 +4,7 @@ import functools
 from pathlib import Path
 
 import numpy as np
-from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 
 from diagrams.world.clearance_meter import ClearanceMeter
 from diagrams.world.configuration import World
@@ -43,7 +43,6 @@ class Requirements:
 
     Attributes:
         signals: output port (7,), see RequirementSignals.
-        robustness: output port (R,), see RequirementMonitor; in the order of `requirements`.
     """
 
     def __init__(
@@ -76,4 +75,9 @@ class Requirements:
         given |= {"desired_posture": command, "query_object": station.GetOutputPort("query_object")}
         for name, port in given.items():
             builder.Connect(port, watching.GetInputPort(name))
-        self.signals, self.robustness = watching.GetOutputPort("signals"), watching.GetOutputPort("robustness")
+        self.signals, self._watching, self._names = watching.GetOutputPort("signals"), watching, requirements(period)
+
+    def robustness(self, root: Context) -> dict[str, float]:
+        """`robustness_of` the run so far, by its root's Context in the middle of a tick."""
+        port, context = self._watching.GetOutputPort("robustness"), self._watching.GetMyContextFromRoot(root)
+        return dict(zip(self._names, port.Eval(context).tolist(), strict=True))
