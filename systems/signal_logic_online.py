@@ -79,16 +79,22 @@ class OnlineRobustness:
         if isinstance(f, Predicate):
             step = self._predicate(f)
         elif isinstance(f, Not):
-            step = _not(*inside)
+            step = _not(inside[0])
         elif isinstance(f, Junction):
-            step = _junction(f, *inside)
+            step = _junction(f, inside[0], inside[1])
         elif isinstance(f, Within):
-            step = _within(f, *inside, place)
-            memory += [-np.inf] * ((f.first + 1) if f.last is None else f.last)
+            sign = -1.0 if f.operator in LEAST else 1.0
+            if f.last is None:
+                step = _largest(sign, f.first, inside[0], place)
+            else:
+                step = _largest_within(sign, f.first, f.last, inside[0], place)
+            memory += [-np.inf] * (f.first + 1 if f.last is None else f.last)
+        elif f.last is None:
+            step = _since(f.first, inside[0], inside[1], place)
+            memory += [-np.inf] * (f.first + 1) + [np.inf] * f.first  # of the result, and of the left
         else:
-            step = _since(f, *inside, place)
-            memory += [-np.inf] * ((f.first + 1) if f.last is None else f.last)  # of the right, or of the result
-            memory += [np.inf] * (f.first if f.last is None else f.last)  # of the left
+            step = _since_within(f.first, f.last, inside[0], inside[1], place)
+            memory += [-np.inf] * f.last + [np.inf] * f.last  # of the right, and of the left
         self._steps.append(step)
         self._known[id(f)] = len(self._steps) - 1
         return self._known[id(f)]
@@ -126,29 +132,39 @@ def _junction(f: Junction, i: int, j: int) -> _Step:
     return lambda values, before, after, signals: of(values[i], values[j])
 
 
-def _within(f: Within, i: int, place: int) -> _Step:
-    sign = -1.0 if f.operator in LEAST else 1.0
-    first, last = f.first, f.last
-
-    def bounded(values: list[float], before: list[float], after: list[float], signals: list[float]) -> float:
-        recent = [sign * values[i], *before[place : place + last]]  # now, a tick ago ...
-        after[place : place + last] = recent[:last]
-        return sign * max(recent[first:])
-
-    def unbounded(values: list[float], before: list[float], after: list[float], signals: list[float]) -> float:
-        recent = [sign * values[i], *before[place : place + first]]
+def _largest(sign: float, first: int, i: int, place: int) -> _Step:
+    def step(values: list[float], before: list[float], after: list[float], signals: list[float]) -> float:
+        recent = [sign * values[i], *before[place : place + first]]  # now, a tick ago ...
         after[place : place + first] = recent[:first]
         largest = max(before[place + first], recent[first])  # of all that is `first` ticks old
         after[place + first] = largest
         return sign * largest
 
-    return unbounded if last is None else bounded
+    return step
 
 
-def _since(f: Until, i: int, j: int, place: int) -> _Step:
-    first, last = f.first, f.last
+def _largest_within(sign: float, first: int, last: int, i: int, place: int) -> _Step:
+    def step(values: list[float], before: list[float], after: list[float], signals: list[float]) -> float:
+        recent = [sign * values[i], *before[place : place + last]]
+        after[place : place + last] = recent[:last]
+        return sign * max(recent[first:])
 
-    def bounded(values: list[float], before: list[float], after: list[float], signals: list[float]) -> float:
+    return step
+
+
+def _since(first: int, i: int, j: int, place: int) -> _Step:
+    def step(values: list[float], before: list[float], after: list[float], signals: list[float]) -> float:
+        latest = max(values[j], min(values[i], before[place]))  # had it no first bound
+        results = [latest, *before[place : place + first]]
+        left = [values[i], *before[place + first + 1 : place + 2 * first + 1]]
+        after[place : place + 2 * first + 1] = [*results, *left[:first]]
+        return min([results[first], *left[:first]])
+
+    return step
+
+
+def _since_within(first: int, last: int, i: int, j: int, place: int) -> _Step:
+    def step(values: list[float], before: list[float], after: list[float], signals: list[float]) -> float:
         right = [values[j], *before[place : place + last]]
         left = [values[i], *before[place + last : place + 2 * last]]
         after[place : place + 2 * last] = [*right[:last], *left[:last]]
@@ -159,11 +175,4 @@ def _since(f: Until, i: int, j: int, place: int) -> _Step:
             kept = min(kept, left[age])
         return found
 
-    def unbounded(values: list[float], before: list[float], after: list[float], signals: list[float]) -> float:
-        latest = max(values[j], min(values[i], before[place]))  # without the first bound
-        results = [latest, *before[place : place + first]]
-        left = [values[i], *before[place + first + 1 : place + 2 * first + 1]]
-        after[place : place + 2 * first + 1] = [*results[: first + 1], *left[:first]]
-        return min([results[first], *left[:first]])
-
-    return unbounded if last is None else bounded
+    return step

@@ -25,7 +25,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.ghost import add_ghost
 from diagrams.world.hands import Hands
 from diagrams.world.names import ARM_JOINTS, other_spot
-from diagrams.world.requirements import Requirements
+from diagrams.world.requirement_watch import RequirementWatch
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
@@ -133,7 +133,7 @@ class Rollout:
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
         builder.Connect(place, station.GetInputPort("can_place"))
         seen = (controller.GetOutputPort("alpha"), active, controller.GetOutputPort("measured_posture"), self._command)
-        self.requirements = Requirements(builder, world, station, *seen)
+        self.requirements = RequirementWatch(builder, world, station, *seen)
         # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
         others = {COMMAND: self._command, SIGNALS: self.requirements.signals}
         logged = [others[name] if name in others else controller.GetOutputPort(name) for name in LOGGED]

@@ -5,10 +5,9 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
+from diagrams.world.requirements import SIGNALS
 from diagrams.world.task import at_home
 from systems.detector import GUARD
-
-SIGNALS = ("alpha", "active", "home", "crossings", "clearance", "position_margin", "speed_margin")
 
 
 class RequirementSignals(LeafSystem):

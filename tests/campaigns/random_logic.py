@@ -35,8 +35,9 @@ def random_requirement(rng: np.random.Generator, depth: int) -> str:
 
 
 def _sum(rng: np.random.Generator) -> str:
-    terms = [f"{rng.uniform(0.1, 3.0):.3f} * {rng.choice(SIGNALS)}", f"abs({rng.choice(SIGNALS)} - {rng.uniform():.2f})",
-             f"{rng.uniform(0.0, 1.0):.3f}", str(rng.choice(SIGNALS))]  # fmt: skip
+    names = rng.choice(SIGNALS, size=3)
+    terms = [f"{rng.uniform(0.1, 3.0):.3f} * {names[0]}", f"abs({names[1]} - {rng.uniform():.2f})",
+             f"{rng.uniform(0.0, 1.0):.3f}", str(names[2])]  # fmt: skip
     chosen = [str(term) for term in rng.choice(terms, size=rng.integers(1, 4), replace=False)]
     # A minus before the last term alone: RTAMT takes a - b + c for a - (b + c).
     return " + ".join(chosen[:-1]) + f" {rng.choice(['+', '-'])} " * (len(chosen) > 1) + chosen[-1]

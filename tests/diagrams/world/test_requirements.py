@@ -14,8 +14,7 @@ from diagrams.episodes.record import record_hash
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.switching import DETECTED, GUARD, RESUMED, SWITCHING_FAILURES, Switching
 from diagrams.world.disturbance import DisturbanceSpec
-from diagrams.world.requirement_signals import SIGNALS
-from diagrams.world.requirements import broken, requirements, robustness_of
+from diagrams.world.requirements import SIGNALS, broken, requirements, robustness_of
 
 PERIOD = 0.1
 # Of the scoring, in its order: what went wrong first.
@@ -165,7 +164,7 @@ def test_watching_changes_no_bit(run, world, encoder, policy, monkeypatch):
             self.signals = builder.AddSystem(ConstantVectorSource(np.zeros(len(SIGNALS)))).get_output_port()
 
     _, watched, _ = run
-    monkeypatch.setattr(rollout_module, "Requirements", Nothing)
+    monkeypatch.setattr(rollout_module, "RequirementWatch", Nothing)
     given = episode("B" if watched.active.sum() == 15 else "A" if watched.active.any() else "none")
     policy.learn(given)
     _, alone = Rollout(world, encoder, policy).run(given, time_limit=14.0)
