@@ -127,7 +127,8 @@ class Rollout:
         self._command = add_clearance_filter(
             builder, world, station, *(controller.GetOutputPort(name) for name in FILTERED)
         )
-        builder.Connect(self._command, disturbance.GetInputPort("desired_posture"))
+        command = self._command if self.hands is None else self.hands.late(builder, self._command)
+        builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
         builder.Connect(disturbed, station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
@@ -174,7 +175,7 @@ class Rollout:
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
         self._set_disturbance(context, given)
         if self.hands is not None:
-            self.hands.set(context, episode.hands)
+            self.hands.set(context, episode.hands, episode.seed)
         elif episode.hands:
             raise InputError("the episode has a person's hands, the diagram has none: build it with hands=True")
         if (used := calibration or self.calibration) is None:

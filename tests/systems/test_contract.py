@@ -19,6 +19,7 @@ from systems.first_given import FirstGiven
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector
+from systems.late_step import LateStep
 from systems.loop_closer import LoopCloser
 from systems.manual_disturbance import ManualDisturbance
 from systems.never_detector import NeverDetector
@@ -94,6 +95,7 @@ CASES = {
     ),
     "BodyForce": (lambda: BodyForce(BodyIndex(1), np.zeros(3)), {("force", "spatial_force")}),
     "CameraFault": (lambda: CameraFault(112, 112, PERIOD), {(i, "faulty_image") for i in ("rgb_image", "fault")}),
+    "LateStep": (lambda: LateStep(posture_size=M, period=PERIOD), {("desired_posture", "followed_posture")}),
     "FirstGiven": (lambda: FirstGiven(2), {("first", "given"), ("second", "given")}),
     "GammaDial": (lambda: GammaDial(3), {(i, "dialled_alpha") for i in ("errors", "alpha", "gamma")}),
     "DialledDetector": (
