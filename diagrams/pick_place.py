@@ -178,8 +178,8 @@ def main(cli: PickPlaceArguments) -> int:
         delay = outcome.detection_delay_s
         switching = "as it should" if outcome.switch_success else f"failed ({outcome.switch_failure})"
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))
-    if not episode.hands and (names := broken(record.signals, cli.world.timing.period)):
-        print(f"requirements broken: {', '.join(names)} (diagrams/world/requirements.stl)")
+    if not episode.hands and (missed := broken(record.signals, cli.world.timing.period)):
+        print(f"requirements broken: {', '.join(missed)} (diagrams/world/requirements.stl)")
     rate = f"{outcome.realtime_factor:.1f} times real time"
     print(f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({rate})")
     if cli.realtime_rate:

@@ -178,6 +178,7 @@ def test_done_live_is_done_again_to_the_same_bits(handed, policy, tmp_path):
         ({"gamma": [[2.0, -1.0]]}, "gamma -1.0 is outside of 1 to 10000"),
         ({"gamma": [[2.0, 20_000.0]]}, "gamma 20000.0 is outside"),
         ({"force": [[2.0, 0, -60.5, 0]]}, "-60.5, 0.0. N is too large"),
+        ({"late": [[1.0, 1.5]]}, "share of late steps 1.5 is no share: choose 0 to 1"),
         ({"camera": [[1e12, 0.0]]}, "hands.camera has the tick 1e.12: give at most"),
     ],
 )
