@@ -12,15 +12,12 @@ from diagrams.episodes import rollout as rollout_module
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import record_hash
 from diagrams.episodes.rollout import Rollout
-from diagrams.episodes.switching import DETECTED, GUARD, RESUMED, SWITCHING_FAILURES, Switching
+from diagrams.episodes.switching import DETECTED, GUARD, RESUMED, Switching
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.requirements import SIGNALS, broken, requirements, robustness_of
+from tests.campaigns.stl import FAILURES, failure_of
 
 PERIOD = 0.1
-# Of the scoring, in its order: what went wrong first.
-FAILURES = dict(
-    zip(("no_false_switch", "notices", "returns", "resumes", "no_later_switch"), SWITCHING_FAILURES, strict=True)
-)
 CAN = (0.555, -0.041)
 
 
@@ -29,11 +26,6 @@ def signals_of(alpha, active, home, crossings=0.0, clearance=0.05, position=0.1,
     values = {"alpha": alpha, "active": active, "home": home, "crossings": crossings, "clearance": clearance,
               "position_margin": position, "speed_margin": speed}  # fmt: skip
     return np.column_stack([np.broadcast_to(np.asarray(values[name], float), np.shape(alpha)) for name in SIGNALS])
-
-
-def failure_of(signals):
-    found = broken(signals, PERIOD)
-    return next((failure for name, failure in FAILURES.items() if name in found), None)
 
 
 LEVELS = st.sampled_from([0.0, RESUMED, np.nextafter(RESUMED, 1.0), 0.3, np.nextafter(GUARD, 0.0), GUARD,
@@ -52,7 +44,7 @@ def test_after_each_tick_the_requirements_say_what_the_scoring_says(pieces, onse
     for n in range(1, len(alpha) + 1):
         switching.see(float(alpha[n - 1]), bool(active[n - 1]), bool(home[n - 1]))
         if n % 3 == 0 or n == len(alpha):
-            assert failure_of(signals[:n]) == switching.failure, n
+            assert failure_of(signals[:n], PERIOD) == switching.failure, n
     values = robustness_of(signals, PERIOD)
     for name in FAILURES:
         assert values[name] == 0.0 or (values[name] < 0.0) == (name in broken(signals, PERIOD))
@@ -125,7 +117,7 @@ def test_in_the_loop_they_say_what_the_scoring_says(run):
     outcome, record, watched = run
     found = robustness_of(record.signals, PERIOD)
     assert watched == found  # to the bit
-    assert failure_of(record.signals) == outcome.switch_failure
+    assert failure_of(record.signals, PERIOD) == outcome.switch_failure
     assert (min(found[name] for name in FAILURES) > 0.0) is outcome.switch_success
     columns = dict(zip(SIGNALS, record.signals.T, strict=True))
     for name in ("alpha", "active"):
