@@ -171,9 +171,7 @@ class Limits:
 
 
 def long_run(arguments: SoakArguments) -> dict[str, Any]:
-    """A scene that goes on and on, in one Context: a row of plain types."""
-    import numpy as np
-
+    """A scene of the shipped LSTM that goes on and on: see `goes_on`."""
     from diagrams.episodes.calibration import RECALL, Controller, policy_file, stored_calibration
     from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
@@ -183,12 +181,20 @@ def long_run(arguments: SoakArguments) -> dict[str, Any]:
     world = World()
     rollout = build_rollout(world, WEIGHTS / ENCODER, Controller(policy_file(WEIGHTS, "lstm")), hands=True)
     calibration = stored_calibration(RECALL, rollout.policy, WEIGHTS)
-    sampler, period = EpisodeSampler(world), world.timing.period
+    sampler = EpisodeSampler(world)
     rollout.prepare(sampler.sample(arguments.seed, "none"), calibration)
-    chance, limits = Chance(arguments.seed, rollout, sampler, calibration.gamma), Limits(rollout)
+    chance = Chance(arguments.seed, rollout, sampler, calibration.gamma)
+    return goes_on(rollout, chance, round(60.0 * arguments.minutes / world.timing.period))
+
+
+def goes_on(rollout, chance: Chance, ticks: int) -> dict[str, Any]:
+    """`ticks` in the one Context that `rollout` has, with what `chance` draws: a row of plain types."""
+    import numpy as np
+
+    limits, period = Limits(rollout), rollout.world.timing.period
     bits, measured, seconds, diverged, picked = hashlib.sha256(), [], [], None, 0
     a_minute = round(60.0 / period)
-    for k in tqdm(range(arguments.minutes * a_minute), unit="tick", disable=None, mininterval=1.0):
+    for k in tqdm(range(ticks), unit="tick", disable=None, mininterval=1.0):
         began = time.perf_counter()
         chance.before(k)
         if not rollout.advance((k + 0.5) * period):
@@ -300,7 +306,7 @@ def main(arguments: SoakArguments) -> int:
     own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
     with RowStore(arguments.out / "soak.jsonl", identity | {"code": code_hash(), "campaign": own}) as store:
         for name, part in PARTS.items():
-            if name not in store.rows:
+            if name not in store.rows or "error" in store.rows[name]:
                 print(f"{name} ...", flush=True)
                 row = in_a_process(part, arguments)
                 if "error" in row:
