@@ -21,7 +21,12 @@ PAGES = sorted(
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # The programs with commands; every other program takes options alone.
 SUBCOMMANDS = {"diagrams.analysis": tuple(ANALYSES), "models.training.__main__": tuple(training_commands())}
-PROGRAMS = (*(f"diagrams.{path.stem}" for path in ROOT.glob("diagrams/[a-z]*.py")), "models.training.__main__")
+CAMPAIGNS = tuple(
+    f"tests.campaigns.{path.stem}" for path in ROOT.glob("tests/campaigns/*.py") if "def parse(" in path.read_text()
+)
+PROGRAMS = (
+    *(f"diagrams.{path.stem}" for path in ROOT.glob("diagrams/[a-z]*.py")), "models.training.__main__", *CAMPAIGNS,
+)  # fmt: skip
 FOREIGN = {"--measure", "--index-url", "--help"}  # pytest's, pip's, everybody's
 
 
@@ -97,7 +102,7 @@ def test_options_in_the_text_exist(page):
     text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     everything = set().union(FOREIGN, *map(of_program, PROGRAMS))
     for span in re.findall(r"`([^`]*)`", text.replace("\n", " ")):
-        named = [module for module in PROGRAMS if f"{module.split('.')[1]}.py" in span or f"{module[:15]} " in span]
+        named = [module for module in PROGRAMS if f"{module.split('.')[-1]}.py" in span or f"{module[:15]} " in span]
         known = of_program(named[0]) | FOREIGN if named else everything
         for module, names in SUBCOMMANDS.items():
             for command in names:
