@@ -82,10 +82,12 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.drawing.graph import FORMATS as GRAPH_FORMATS
     from diagrams.drawing.graph import save_graph
     from diagrams.episodes.calibration import controller_of, require_named, stored_calibration
+    from diagrams.episodes.real_time import RealTime, tick_words
     from diagrams.episodes.record import PICTURE_EVERY, save_record
     from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
     from diagrams.episodes.tick_table import tick_table
+    from diagrams.world.requirements import broken
 
     formats = {
         cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
@@ -112,7 +114,7 @@ def main(cli: PickPlaceArguments) -> int:
     calibration = stored_calibration(cli.detector, rollout.policy, cli.weights)
     for path in written:
         require_writable(path)
-    rollout.simulator.set_target_realtime_rate(cli.realtime_rate)
+    clock = RealTime(cli.world.timing.period, cli.realtime_rate)
     if cli.meshcat:
         print(f"live view: {meshcat.web_url()}")
     (x, y), kind = episode.can_xy, episode.disturbance.kind
@@ -120,10 +122,15 @@ def main(cli: PickPlaceArguments) -> int:
     meshcat.StartRecording(set_visualizations_while_recording=cli.meshcat)
     profiler = cProfile.Profile()
     with tqdm(unit="tick", leave=False, disable=None) as bar, profiler if cli.profile else nullcontext():
+
+        def after_tick(ticks: int) -> None:
+            bar.update()
+            clock.wait(ticks)
+
         outcome, record = rollout.run(
             episode,
             on_event=lambda seconds, what: tqdm.write(f"{seconds:6.1f} s  {what}"),
-            on_tick=lambda _: bar.update(),
+            on_tick=after_tick,
             picture_every=1 if cli.mcap else PICTURE_EVERY if cli.record else 0,
             calibration=calibration,
         )
@@ -171,8 +178,12 @@ def main(cli: PickPlaceArguments) -> int:
         delay = outcome.detection_delay_s
         switching = "as it should" if outcome.switch_success else f"failed ({outcome.switch_failure})"
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))
+    if not episode.hands and (missed := broken(record.signals, cli.world.timing.period)):
+        print(f"requirements broken: {', '.join(missed)} (diagrams/world/requirements.stl)")
     rate = f"{outcome.realtime_factor:.1f} times real time"
     print(f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({rate})")
+    if cli.realtime_rate:
+        print(tick_words(record.tick_seconds, clock.due))
     if cli.profile:
         print(tick_table(profiler, len(record.time)))
     print(f"written: {', '.join(str(path) for path in written if path.exists())}")

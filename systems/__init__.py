@@ -26,8 +26,13 @@ manual_disturbance     a person's hand on the arm: holds or moves it, whenever a
 signal_schedule        a signal that changes at given ticks: what a person did, when
 body_force             a force that pulls at a body
 camera_fault           the camera is covered, it gets dark, its picture freezes (abstract state)
+late_step              the controller's step comes too late: the last command holds (discrete state)
 first_given            two sources for one signal, by rank
 dialled_detector       a detector whose gamma is an input
+signal_logic           requirements in signal temporal logic: by how much arrays of signals keep them
+signal_logic_text      their text, read
+signal_logic_online    their values tick by tick, in memory that does not grow
+requirement_monitor    watches them while the diagram runs (discrete state)
 switched_controller    all of the controller, as one Diagram
 arguments              checks of constructor arguments
 =====================  =============================================================================================

@@ -27,7 +27,7 @@ def code_hash(*rooms: str) -> str:
     total = hashlib.sha256()
     for room in (ROOT / name for name in (*ROOMS, *rooms)):
         for path in [room] if room.is_file() else sorted(room.rglob("*")):
-            if path.suffix in (".py", ".sdf", ".yaml", ".xml"):
+            if path.suffix in (".py", ".sdf", ".yaml", ".xml", ".stl"):
                 total.update(f"{path.relative_to(ROOT)}\0".encode() + path.read_bytes())
     return total.hexdigest()[:16]
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from diagrams.episodes.episode import DIVERGED, Episode, Outcome
 from diagrams.episodes.record import Record
-from diagrams.episodes.switching import GUARD, Switching
+from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.task import TaskMonitor, lifted
 
@@ -27,8 +27,9 @@ def make_outcome(
     can_moved: bool,
     period: float,
     policy_hash: str,
+    until: Until = "task",
 ) -> Outcome:
-    """What came of a run of `episode`, to its end: see Outcome.
+    """What came of a run of `episode`, to its end or to what `until` says: see Outcome.
 
     `monitor`, `switching` and `way_home` have seen all of `record`; `diverged`: the simulation did; `can_moved`: the
     can was put elsewhere; `period`: of the ticks, s.
@@ -84,5 +85,10 @@ def make_outcome(
         sim_seconds=len(record.time) * period,
         weights_hash=policy_hash,
     )
+    if until != "task":  # what was cut short is not judged
+        outcome.success = None
+        outcome.failure = outcome.failure if diverged else None
+        outcome.switch_success = outcome.switch_success if until == "switching" else None
+        outcome.paper_switch_success = outcome.paper_switch_success if until == "as_paper" else None
     nothing: dict[str, Any] = dict.fromkeys(OF_ONE_DISTURBANCE)
     return replace(outcome, **nothing) if episode.hands else outcome

@@ -33,6 +33,8 @@ class Record:
     predicted_features: np.ndarray  # (n, 30) f^R_{k+1}, in [-1, 1]
     active: np.ndarray  # (n,) 1 while the disturbance is under way, else 0
     can_poses: np.ndarray  # (n, 14) of the can to pick, then of the other: quaternion w, x, y, z and position, m, world
+    signals: np.ndarray  # (n, 7) that the requirements look at, see world/requirement_signals.py
+    tick_seconds: np.ndarray  # (n,) s of the wall clock that the tick took, scoring and pictures included
     picture_ticks: np.ndarray  # (p,) ticks of the pictures; none where they were not asked for
     pictures: np.ndarray  # (p, 112, 112, 3) uint8, what the camera saw
     events: list[tuple[float, str]]  # (s, what happened)
@@ -42,10 +44,13 @@ ARRAYS = tuple(f.name for f in dataclasses.fields(Record) if f.name != "events")
 
 
 def record_hash(record: Record) -> str:
-    """SHA-256 (hexadecimal) over every number of the run but its pictures: equal for two runs that agree bit by bit."""
+    """SHA-256 (hexadecimal) over every number of the run but its pictures: equal for two runs that agree bit by bit.
+
+    What its ticks took of the wall clock is none of its numbers.
+    """
     total = hashlib.sha256()
     for name in ARRAYS:
-        if "picture" not in name:
+        if "picture" not in name and name != "tick_seconds":
             array = getattr(record, name)
             total.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
     return total.hexdigest()

@@ -25,6 +25,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.ghost import add_ghost
 from diagrams.world.hands import Hands
 from diagrams.world.names import ARM_JOINTS, other_spot
+from diagrams.world.requirement_watch import RequirementWatch
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor
 from models.errors import InputError
@@ -35,8 +36,9 @@ from systems.switched_controller import SwitchedController
 
 COMMAND = "desired_posture"  # as it comes out of the clearance filter
 FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into it
-# Outputs of the controller that are logged, under their own names.
-LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features")
+# Outputs of the controller that are logged, under their own names; and of what watches it.
+SIGNALS = "signals"
+LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features", SIGNALS)
 WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
 JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
@@ -45,7 +47,7 @@ class Rollout:
     """Station, controller and disturbance, wired as systems/README.md says.
 
     Everything that runs is in `diagram`, all its state in the Context: the loop of a Simulator of one's own, which
-    systems/README.md shows, gives the same bits as `run`.
+    systems/README.md shows, gives the same bits as `run`. What watches the run is `requirements`.
     """
 
     def __init__(
@@ -125,13 +127,17 @@ class Rollout:
         self._command = add_clearance_filter(
             builder, world, station, *(controller.GetOutputPort(name) for name in FILTERED)
         )
-        builder.Connect(self._command, disturbance.GetInputPort("desired_posture"))
+        command = self._command if self.hands is None else self.hands.late(builder, self._command)
+        builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
         builder.Connect(disturbed, station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
         builder.Connect(place, station.GetInputPort("can_place"))
+        seen = (controller.GetOutputPort("alpha"), active, controller.GetOutputPort("measured_posture"), self._command)
+        self.requirements = RequirementWatch(builder, world, station, *seen)
         # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
-        logged = [self._command if name == COMMAND else controller.GetOutputPort(name) for name in LOGGED]
+        others = {COMMAND: self._command, SIGNALS: self.requirements.signals}
+        logged = [others[name] if name in others else controller.GetOutputPort(name) for name in LOGGED]
         self._sizes = [port.size() for port in logged]
         self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
         for i, port in enumerate(logged):
@@ -169,7 +175,7 @@ class Rollout:
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
         self._set_disturbance(context, given)
         if self.hands is not None:
-            self.hands.set(context, episode.hands)
+            self.hands.set(context, episode.hands, episode.seed)
         elif episode.hands:
             raise InputError("the episode has a person's hands, the diagram has none: build it with hands=True")
         if (used := calibration or self.calibration) is None:
@@ -244,6 +250,7 @@ class Rollout:
             judge(earlier, False)
         # A person may have gone on after the task was done.
         while k < limit + switching.ticks_disturbed and not (success and k > episode.hands.last_tick) and not cut:
+            began = time.perf_counter()
             # Half a plant step before the tick the plant is as the tick sees it, and no event is pending.
             if keep is not None and k and not homing and self.advance(k * period - 0.5 * self.world.timing.time_step):
                 port, context = ports["approach_distance"]
@@ -270,6 +277,7 @@ class Rollout:
                 home and not active and monitor.success(cans, np.array(rows["posture"]), self.station.finger_gap(root))
             )
             cut = switching.over(until)
+            rows["tick_seconds"].append(time.perf_counter() - began)
             k += 1
             if on_tick is not None:
                 on_tick(k)
@@ -278,12 +286,7 @@ class Rollout:
         arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
         record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
         seen = monitor, record, switching, way_home, success, diverged, can_moved
-        outcome = make_outcome(episode, *seen, period, self.policy.hash)
-        if until != "task":  # what was cut short is not judged
-            outcome.success = None
-            outcome.failure = outcome.failure if diverged else None
-            outcome.switch_success = outcome.switch_success if until == "switching" else None
-            outcome.paper_switch_success = outcome.paper_switch_success if until == "as_paper" else None
+        outcome = make_outcome(episode, *seen, period, self.policy.hash, until)
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record

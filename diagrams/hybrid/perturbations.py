@@ -5,7 +5,9 @@ alone; or stopped while the can is taken out of its hand and put elsewhere. Defe
 (diagrams/episodes/switching.py). A perturbation that is not detected is no defeat where the task is done all the same:
 the network has coped with it. One whose forced path would touch the scene is none, as in the sampling of episodes.
 
-What is minimised: the magnitude in [0, 1] where the controller is defeated, else 1 + its margin in [0, 1].
+What is minimised: the magnitude in [0, 1] where the controller is defeated, else 1 + the least robustness of what is
+required of the switching (`least_robustness`), at most 1; negative is a defeat, or a perturbation that the network has
+coped with, which is as far from one as it is from being noticed.
 """
 
 from collections.abc import Sequence
@@ -17,18 +19,20 @@ import numpy as np
 from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.record import Record
 from diagrams.episodes.sampling import ONSET_LEVELS
-from diagrams.episodes.switching import DEFEATS, GUARD, RESUME_SECONDS
+from diagrams.episodes.switching import DEFEATS
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import CAN_TAKEN_TICKS, DisturbanceSpec
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, LIMIT_MARGIN
+from diagrams.world.requirements import SIGNALS, robustness_of
 from systems.disturbance import MOVE_TICKS
 
 MAX_SIZE_DEG = 60.0  # norm over the joints
 HOLD_TICKS = (0, 25)
 FORMS = ("deflected", "stopped", "taken")
-DECADES = 2.0  # an error so many powers of ten from the threshold has the whole margin
+REQUIRED = ("notices", "returns", "resumes", "no_later_switch")  # of requirements.stl: one of DEFEATS breaks one
+NEARLY = 0.05  # from 0 or 1
 
 
 @dataclass(frozen=True)
@@ -142,28 +146,18 @@ def judge(
     failure = outcome.switch_failure
     if failure in DEFEATS and not (failure == "not detected" and outcome.success):
         return failure, perturbation.magnitude
-    return None, 1.0 + margin(outcome, record, perturbation.ticks * period, period, gamma)
+    return None, 1.0 + min(abs(least_robustness(record, period, gamma)), 1.0)
 
 
-def margin(outcome: Outcome, record: Record, seconds: float, period: float, gamma: float) -> float:
-    """How far a run is from a defeat, in [0, 1]; `seconds`: how long it is disturbed, s; others as of `judge`."""
-    margins = [1.0]
-    active = np.flatnonzero(record.active)
-    if len(active):
-        worst = record.errors.max(axis=1)
-        margins.append(_decades(worst[active[0] : active[-1] + 1].max(), gamma))
-        # How near the recall came to fitting again before the arm was at home.
-        if outcome.returned and outcome.return_s is not None:
-            home = active[-1] + 1 + round(outcome.return_s / period)
-            away = np.flatnonzero(record.alpha[: home + 1] >= GUARD)
-            first = int(away[away >= active[0]][0])
-            margins.append(_decades(worst[first : home + 1].min(), gamma))
-    if outcome.detection_delay_s is not None:
-        margins.append(1.0 - outcome.detection_delay_s / seconds)
-    if outcome.resume_s is not None:
-        margins.append(1.0 - outcome.resume_s / RESUME_SECONDS)
-    return float(np.clip(min(margins), 0.0, 1.0))
+def least_robustness(record: Record, period: float, gamma: float) -> float:
+    """Of the requirements that a defeat breaks, the least; see diagrams/world/requirements.stl.
 
-
-def _decades(error: float, gamma: float) -> float:
-    return float(abs(np.log10(max(error, 1e-12) / gamma)) / DECADES)
+    Alpha is as good as 0 or 1 where the error is not near the threshold. Beyond NEARLY of either it is continued by the
+    decades between the two, which changes the side of no bound in the requirements.
+    """
+    signals = record.signals.copy()
+    alpha, decades = signals[:, SIGNALS.index("alpha")], np.log10(np.maximum(record.errors.max(axis=1), 1e-12) / gamma)
+    alpha += np.where(alpha > 1.0 - NEARLY, np.maximum(decades, 0.0), 0.0)
+    alpha += np.where(alpha < NEARLY, np.minimum(decades, 0.0), 0.0)
+    found = robustness_of(signals, period)
+    return min(found[name] for name in REQUIRED)

@@ -8,13 +8,14 @@ import numpy as np
 
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.record import Record
-from diagrams.hybrid.perturbations import margin
+from diagrams.episodes.switching import GUARD, RESUME_SECONDS
 
 DEFEATED = 1.0
 JUST_WITHSTOOD = 0.999
 # A normal run's largest error stands at half of gamma or above, whatever the disturbance; as power 3 that is 0.13, and
 # comes before the other margins only near gamma.
 NORMAL_POWER = 3
+DECADES = 2.0  # an error so many powers of ten from the threshold has the whole margin
 
 
 def severity(outcome: Outcome, record: Record, gamma: float) -> float:
@@ -39,3 +40,30 @@ def severity(outcome: Outcome, record: Record, gamma: float) -> float:
     largest = float(np.max(normal, initial=0.0)) / gamma
     near = max(1.0 - margin(outcome, record, len(active) * period, period, gamma), largest**NORMAL_POWER)
     return min(near, JUST_WITHSTOOD)
+
+
+def margin(outcome: Outcome, record: Record, seconds: float, period: float, gamma: float) -> float:
+    """How far a run is from a defeat, in [0, 1].
+
+    `seconds`: how long it is disturbed; `period`: of the ticks, s; `gamma`: threshold of the errors.
+    """
+    margins = [1.0]
+    active = np.flatnonzero(record.active)
+    if len(active):
+        worst = record.errors.max(axis=1)
+        margins.append(_decades(worst[active[0] : active[-1] + 1].max(), gamma))
+        # How near the recall came to fitting again before the arm was at home.
+        if outcome.returned and outcome.return_s is not None:
+            home = active[-1] + 1 + round(outcome.return_s / period)
+            away = np.flatnonzero(record.alpha[: home + 1] >= GUARD)
+            first = int(away[away >= active[0]][0])
+            margins.append(_decades(worst[first : home + 1].min(), gamma))
+    if outcome.detection_delay_s is not None:
+        margins.append(1.0 - outcome.detection_delay_s / seconds)
+    if outcome.resume_s is not None:
+        margins.append(1.0 - outcome.resume_s / RESUME_SECONDS)
+    return float(np.clip(min(margins), 0.0, 1.0))
+
+
+def _decades(error: float, gamma: float) -> float:
+    return float(abs(np.log10(max(error, 1e-12) / gamma)) / DECADES)

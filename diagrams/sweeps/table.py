@@ -8,6 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from diagrams.episodes.episode import Outcome
+from diagrams.sweeps.task import ROBUSTNESS
+from diagrams.world.configuration import World
+from diagrams.world.requirements import requirements
 from models.errors import InputError
 
 TABLE = "episodes.parquet"
@@ -32,7 +35,8 @@ _OWN = {
 }
 # Of a type such as float | None the first is what the column holds.
 _OUTCOME = {name: _TYPES.get(kind) or _TYPES[get_args(kind)[0]] for name, kind in get_type_hints(Outcome).items()}
-SCHEMA = pa.schema(_OUTCOME | _OWN)
+_ROBUSTNESS = {ROBUSTNESS + name: pa.float64() for name in requirements(World().timing.period)}
+SCHEMA = pa.schema(_OUTCOME | _OWN | _ROBUSTNESS)
 _EPISODE = ["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]
 
 

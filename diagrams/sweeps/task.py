@@ -16,10 +16,12 @@ from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
 from diagrams.world.names import ENCODER
+from diagrams.world.requirements import robustness_of
 from models.errors import InputError
 from systems.detectors import DETECTORS
 
 HASHES = ("weights_hash", "encoder_hash", "detector_hash")
+ROBUSTNESS = "robustness_"  # columns: of each requirement of requirements.stl, see robustness_of
 # Entries of a row that are no column of the table: by the folder in --out, the content of a file there, and its suffix.
 FILES = {"records": ".npz", "mcap": ".mcap"}
 
@@ -81,12 +83,13 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
             raise InputError(
                 f"{task.policy or controller.policy} was changed under the sweep: put it back, then --retry-errors"
             )
-        before, after = stretches(record)
+        (before, after), period = stretches(record), task.world.timing.period
         row = {
             **outcome.to_dict(),
             **task.labels(),
             "error_peak_normal": _peak(record.errors[before]),
             "error_peak_disturbed": _peak(record.errors[after]),
+            **{ROBUSTNESS + name: value for name, value in robustness_of(record.signals, period).items()},
             "error": None,
             "traceback": None,
         }

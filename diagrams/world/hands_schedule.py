@@ -16,7 +16,7 @@ LARGEST_TICK = 1_000_000  # to which a run would go on
 # By the names of HandsSchedule, the values before the first change.
 INITIAL = {
     "grip": [FREE] + [0.0] * ARM_JOINTS, "force": [0.0] * 3, "can": [math.nan] * 2, "camera": [0.0],
-    "gamma": [math.nan],
+    "gamma": [math.nan], "late": [0.0],
 }  # fmt: skip
 
 
@@ -29,6 +29,7 @@ class HandsSchedule:
     can: list[list[float]] = field(default_factory=list)  # in that tick alone, x and y where it is put, m, world
     camera: list[list[float]] = field(default_factory=list)  # place in systems.camera_fault.FAULTS
     gamma: list[list[float]] = field(default_factory=list)  # of the detector, instead of its own
+    late: list[list[float]] = field(default_factory=list)  # share of the controller's steps that are late, 0 to 1
 
     def __bool__(self) -> bool:
         """Whether anything was done."""
@@ -63,6 +64,8 @@ class HandsSchedule:
             require_force(row[1:])
         for row in self.gamma:
             require_gamma(row[1])
+        for row in self.late:
+            require_severity(row[1])
 
 
 def require_force(force: Sequence[float] | np.ndarray) -> None:
@@ -76,6 +79,12 @@ def require_gamma(gamma: float) -> None:
     """Raises InputError outside of GAMMAS."""
     if not GAMMAS[0] <= gamma <= GAMMAS[1]:
         raise InputError(f"gamma {gamma} is outside of {GAMMAS[0]:g} to {GAMMAS[1]:g}: choose one inside")
+
+
+def require_severity(severity: float) -> None:
+    """Raises InputError for a share of late steps outside of [0, 1]."""
+    if not 0.0 <= severity <= 1.0:
+        raise InputError(f"the share of late steps {severity} is no share: choose 0 to 1")
 
 
 def _faults() -> int:

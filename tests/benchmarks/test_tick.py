@@ -92,6 +92,21 @@ def test_closed_loop_over_its_bare_station(loop, world, measure, in_turns, hold,
     hold(f"closed loop over its bare station, disturbance {kind}", ratio, at_most=limit)
 
 
+def test_ninety_nine_in_a_hundred_ticks_are_soon_done(loop, world, measure, hold):
+    """Of whole episodes, as their records have them: scoring is in it, the start of a process is not."""
+    (rollout, calibration), sampler = loop, EpisodeSampler(world)
+    seconds = TIME_LIMIT if measure else 1.0
+    rollout.run(sampler.sample(0, "none"), time_limit=1.0, calibration=calibration)
+    records = [
+        rollout.run(sampler.sample(seed, kind), time_limit=seconds, calibration=calibration)[1]
+        for seed in range(3 if measure else 1)
+        for kind in ("none", "A", "B")
+    ]
+    ticks = np.concatenate([record.tick_seconds for record in records])
+    assert len(ticks) == sum(len(record.time) for record in records)
+    hold("99 % of the ticks, ms", 1e3 * np.quantile(ticks, 0.99), at_most=50.0)
+
+
 def test_a_camera_that_is_not_read_costs_the_physics_nothing(world, in_turns, hold):
     """A renderer in the plant's own scene graph would double the time of every step."""
     episode, path = Episode(0, (0.53, 0.0), "left"), np.tile(world.initial_posture, (100, 1))

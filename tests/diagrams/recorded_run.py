@@ -16,7 +16,7 @@ def recorded_run(n=120, seed=0):
         errors=np.ones((n, 11)), hidden_state=rng.normal(size=(n, 5)) * [5, 3, 2, 0.1, 0.1],
         network_input=np.full((n, 38), 0.25), predicted_features=np.full((n, 30), 0.75),
         active=(ticks > 38) & (ticks < 50), can_poses=np.zeros((n, 14)),
-        picture_ticks=looked_at,
+        signals=np.zeros((n, 7)), tick_seconds=np.full(n, 0.01), picture_ticks=looked_at,
         pictures=np.tile(np.arange(len(looked_at), dtype=np.uint8)[:, None, None, None], (1, 112, 112, 3)),
         events=[
             (0.0, "subtask 1: pick the can"),

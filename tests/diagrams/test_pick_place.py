@@ -189,14 +189,17 @@ def test_failed_task_has_code_1_and_a_whole_summary(tmp_path, untrained):
 
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory):
-    """The program on the shipped weights, then once more with its profile: (folder, what it printed) of each."""
+    """The program on the shipped weights, then once more with its profile, at 50 times real time, too fast to be kept.
+
+    (folder, what it printed) of each.
+    """
     for name in ("encoder", "lstm"):
         path = WEIGHTS / f"{name}.onnx"
         assert path.is_file(), (
             f"{path} is not there: the weights belong to the repository (see the README for training)"
         )
     runs = []
-    for options in ((), ("--profile",)):
+    for options in ((), ("--profile", "--realtime-rate", "50")):
         folder = tmp_path_factory.mktemp("run")
         runs.append((folder, start(folder, "--json", "outputs/outcome.json", *options)))
     return runs
@@ -256,6 +259,18 @@ def test_the_profile_is_printed_where_asked_for(shipped):
     assert sum(float(row[1]) for row in rows[:-1]) == pytest.approx(float(rows[-1][1]), abs=0.04)
     assert rows[-1][2] == "100"
     assert "rendering" not in plain.stdout
+
+
+def test_what_the_ticks_took_is_told_where_they_keep_to_the_clock(shipped):
+    (_, plain), (_, timed) = shipped
+    words = r"^(\d+) of (\d+) ticks late \(over 2 ms\); a tick takes ([\d.]+) ms in the median, ([\d.]+) ms at 99 %, "
+    late, ticks, median, most, largest = map(
+        float, re.search(words + r"([\d.]+) ms at most$", timed.stdout, re.M).groups()
+    )
+    assert 0.5 * ticks < late <= ticks
+    assert 2.0 < median <= most <= largest
+    assert "ticks late" not in plain.stdout
+    assert "requirements broken" not in plain.stdout
 
 
 def test_second_run_is_the_same(shipped):

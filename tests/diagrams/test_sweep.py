@@ -217,6 +217,10 @@ def test_real_episodes(tmp_path, weights, in_this_process, monkeypatch):
     assert [(r["switched"], r["switch_failure"]) for r in rows] == [(False, None)] * 2 + [(True, "false switch")] * 2
     assert [r["sim_seconds"] for r in rows] == [1.5] * 4
     assert all(r["error"] is None and r["error_peak_normal"] > 10.0 and r["error_peak_disturbed"] is None for r in rows)
+    # Alpha at most 1/2 in the first, no disturbance in any.
+    false_switch = [row["robustness_no_false_switch"] for row in rows]
+    assert [value >= 0.0 for value in false_switch] == [True] * 2 + [False] * 2
+    assert {row["robustness_notices"] for row in rows} == {5.0}
     assert rows[0]["can_xy"] == rows[2]["can_xy"] != rows[1]["can_xy"]
     records = [load_record(path) for path in find_records([tmp_path / "records"])]
     assert len(records) == 4

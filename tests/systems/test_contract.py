@@ -19,6 +19,7 @@ from systems.first_given import FirstGiven
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.knn_detector import KnnDetector
+from systems.late_step import LateStep
 from systems.loop_closer import LoopCloser
 from systems.manual_disturbance import ManualDisturbance
 from systems.never_detector import NeverDetector
@@ -26,6 +27,8 @@ from systems.posture_history import PostureHistory
 from systems.recall_detector import RecallDetector
 from systems.recurrent_policy import RecurrentPolicy
 from systems.regulated_mixer import RegulatedMixer
+from systems.requirement_monitor import RequirementMonitor
+from systems.signal_logic_text import parse_requirements
 from systems.signal_schedule import SignalSchedule
 from systems.subspace_detector import SubspaceDetector
 from tests.systems.clearance_fakes import ToldWall, make_filter
@@ -42,6 +45,10 @@ LIMITS = dict(posture_size=M, joints=3, lower=-np.ones(M), upper=np.ones(M), max
 LIMITS |= dict(finger_openings=(-0.5, 0.5), finger_thresholds=(-0.1, 0.1))
 WINDOW_FEEDTHROUGH = {("posture_history", o) for o in ("errors", "alpha")}
 DETECTOR_FEEDTHROUGH = {(i, o) for i in ("posture_history", "recalled_postures") for o in ("errors", "alpha")}
+REQUIRED = """
+require first: always (a < 1 since[1:3 tick] (b > 0 and historically[2:inf tick] (a > 0 - 2)))
+require second: eventually once[1:4 tick] (a < 0 since[2:inf tick] b < 0)
+"""
 CASES = {
     "ImageEncoder": (lambda: ImageEncoder(FakeEncoder()), {("rgb_image", "features")}),
     "RecurrentPolicy": (lambda: RecurrentPolicy(FakePolicy(), PERIOD), set()),
@@ -88,6 +95,7 @@ CASES = {
     ),
     "BodyForce": (lambda: BodyForce(BodyIndex(1), np.zeros(3)), {("force", "spatial_force")}),
     "CameraFault": (lambda: CameraFault(112, 112, PERIOD), {(i, "faulty_image") for i in ("rgb_image", "fault")}),
+    "LateStep": (lambda: LateStep(posture_size=M, period=PERIOD), {("desired_posture", "followed_posture")}),
     "FirstGiven": (lambda: FirstGiven(2), {("first", "given"), ("second", "given")}),
     "GammaDial": (lambda: GammaDial(3), {(i, "dialled_alpha") for i in ("errors", "alpha", "gamma")}),
     "DialledDetector": (
@@ -101,6 +109,10 @@ CASES = {
             for i in ("posture", "desired_posture", "alpha", "obstacles")
             for o in ("filtered_posture", "clearance")
         },
+    ),
+    "RequirementMonitor": (
+        lambda: RequirementMonitor(parse_requirements(REQUIRED, ("a", "b"), PERIOD, "here"), ("a", "b"), PERIOD),
+        {("signals", "robustness")},
     ),
     "SwitchedController": (
         make_controller,

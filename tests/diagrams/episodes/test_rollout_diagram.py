@@ -21,7 +21,8 @@ CAN = (0.555, -0.041)
 
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
     names = {system.get_name() for system in rollout.diagram.GetSystems() if not isinstance(system, VectorLogSink)}
-    assert names == {"station", "switched_controller", "clearance_filter", "disturbance", "can_mover", "logged"}
+    loop = {"station", "switched_controller", "clearance_filter", "disturbance", "can_mover"}
+    assert names == loop | {"requirements", "logged"}
     wires = {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
         f"{target.get_name()}.{target.get_input_port(into).get_name()}"
@@ -40,6 +41,12 @@ def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
         "disturbance.disturbed_posture -> station.desired_posture",
         "disturbance.ticks_since_onset -> can_mover.ticks_since_onset",
         "can_mover.can_place -> station.can_place",
+        # What watches; none of its outputs goes into the loop.
+        "switched_controller.alpha -> requirements.alpha",
+        "disturbance.active -> requirements.active",
+        "switched_controller.measured_posture -> requirements.posture",
+        "clearance_filter.filtered_posture -> requirements.desired_posture",
+        "station.query_object -> requirements.query_object",
     }
 
 

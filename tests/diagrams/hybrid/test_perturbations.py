@@ -8,8 +8,17 @@ import pytest
 
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.sampling import ONSET_LEVELS
-from diagrams.hybrid.perturbations import NominalRun, Perturbation, PerturbationSpace, judge
+from diagrams.episodes.switching import DEFEATS
+from diagrams.hybrid.perturbations import (
+    REQUIRED,
+    NominalRun,
+    Perturbation,
+    PerturbationSpace,
+    judge,
+    least_robustness,
+)
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.requirements import SIGNALS, requirements
 from tests.diagrams.episode_fakes import OUTCOME
 
 SCENES = [Episode(5, (0.555, -0.041), "left"), Episode(6, (0.5, 0.02), "right")]
@@ -102,34 +111,52 @@ def test_nominal_commands_by_hand(world, hand):
     assert nominal.command_at(2, 0.5) is None
 
 
-def run_record(worst):
-    """Five ticks undisturbed, three stopped, then on; `worst`: the largest error at each of twelve ticks."""
-    errors = np.tile(np.asarray(worst, float)[:, None], 11)
-    alpha = (np.asarray(worst) > GAMMA).astype(float)
-    active = np.array([False] * 5 + [True] * 3 + [False] * 4)
-    return SimpleNamespace(errors=errors, alpha=alpha, active=active)
+def run_record(worst, home):
+    """Five ticks undisturbed, three stopped, then on; `worst`: the largest error a tick; `home`: from which on."""
+    worst, ticks = np.asarray(worst, float), np.arange(len(worst))
+    alpha = (worst > GAMMA).astype(float)
+    values = {"alpha": alpha, "active": (ticks >= 5) & (ticks < 8), "home": ticks >= home}
+    signals = np.column_stack([np.broadcast_to(np.asarray(values.get(n, 0.0), float), len(ticks)) for n in SIGNALS])
+    return SimpleNamespace(errors=np.tile(worst[:, None], 11), signals=signals)
 
 
-UNSEEN = replace(OUTCOME, detection_delay_s=None, return_s=None, resume_s=None)
-FAR = [0.1] * 5 + [1000.0] * 7
+FAR = [0.1] * 5 + [1000.0] * 7 + [0.1] * 5
 
 
 @pytest.mark.parametrize(
-    ("change", "worst", "failure", "objective"),
+    ("switch_failure", "success", "worst", "failure", "objective"),
     [
-        ({"switch_failure": "not returned", "success": False}, FAR, "not returned", DEFLECTED.magnitude),
-        ({"switch_failure": "not detected", "success": False}, FAR, "not detected", DEFLECTED.magnitude),
-        # The network coped with it: the error rose to a hundredth, then to a tenth of the threshold, of two decades.
-        ({"switch_failure": "not detected"}, [0.1] * 12, None, 2.0),
-        ({"switch_failure": "not detected"}, [0.1] * 6 + [1.0] * 6, None, 1.5),
-        # Noticed after 0.2 of (8 + 5) * 0.1 s; resumed after 1 of 6 s.
-        ({"detection_delay_s": 0.2, "resume_s": 1.0}, FAR, None, 1 + 5 / 6),
-        ({"detection_delay_s": 0.975, "resume_s": 1.0}, FAR, None, 1.25),
-        # Home two ticks after the end, at tick 10, with the error down to twice the threshold at tick 9.
-        ({"detection_delay_s": 0.2, "resume_s": 1.0, "return_s": 0.2}, [*FAR[:9], 20.0, 1e3, 1e3], None,
-         1 + np.log10(2) / 2),
+        ("not returned", False, FAR, "not returned", DEFLECTED.magnitude),
+        ("not detected", False, FAR, "not detected", DEFLECTED.magnitude),
+        # The network coped with it: the error rose to a tenth of the threshold, to the threshold but for a hair.
+        ("not detected", True, [1.0] * 17, None, 2.0),
+        (
+            "not detected",
+            True,
+            [1.0] * 6 + [9.999] * 11,
+            None,
+            1.9 - np.log10(0.9999),
+        ),  # alpha is 0, and 0.9 is asked for
+        # Two decades above, two below: as far as counts.
+        (None, True, FAR, None, 2.0),
+        # Noticed with the error at 1.25 times the threshold: alpha is 1, log10(1.25) more, and 0.9 is asked for.
+        (None, True, [0.1] * 5 + [12.5] * 3 + [1000.0] * 4 + [0.1] * 5, None, 1.1 + np.log10(1.25)),
+        # On the way home the error came down to 1.1 times the threshold: 1/2 is asked for.
+        (None, True, [0.1] * 5 + [1000.0] * 3 + [11.0] + [1000.0] * 3 + [0.1] * 5, None, 1.5 + np.log10(1.1)),
+        # At home it came down to half of it: at most 0.1 is asked for.
+        (None, True, [0.1] * 5 + [1000.0] * 7 + [5.0] * 5, None, 1.1 + np.log10(2.0)),
+        # Later it rose to four fifths of it.
+        (None, True, [0.1] * 5 + [1000.0] * 7 + [0.1] * 4 + [8.0], None, 1.5 + np.log10(1.25)),
     ],
-)  # fmt: skip
-def test_judgement(change, worst, failure, objective):
-    found = judge(DEFLECTED, replace(UNSEEN, **change), run_record(worst), 0.1, GAMMA)
-    assert found == (failure, pytest.approx(objective))
+)
+def test_judgement(switch_failure, success, worst, failure, objective):
+    outcome, record = replace(OUTCOME, switch_failure=switch_failure, success=success), run_record(worst, home=10)
+    assert judge(DEFLECTED, outcome, record, 0.1, GAMMA) == (failure, pytest.approx(objective))
+    if not success:
+        return
+    assert (least_robustness(record, 0.1, GAMMA) < 0.0) is (switch_failure is not None)
+
+
+def test_what_a_defeat_breaks_is_required():
+    assert set(REQUIRED) < set(requirements(0.1))
+    assert len(REQUIRED) == len(DEFEATS)

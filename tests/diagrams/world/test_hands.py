@@ -39,9 +39,23 @@ def test_idle_hands_change_no_bit(handed, policy, untouched):
     assert record_hash(run(handed, policy)) == record_hash(untouched)
 
 
+def test_late_steps_hold_the_last_command(handed, policy, untouched):
+    """From tick 10 on four in ten, by the seed of the episode; the command of the record is the controller's."""
+    assert record_hash(run(handed, policy, HandsSchedule(late=[[0.0, 0.0]]))) == record_hash(untouched)
+    late = run(handed, policy, HandsSchedule(late=[[10.0, 0.4]]))
+    assert record_hash(late) == record_hash(run(handed, policy, HandsSchedule(late=[[10.0, 0.4]])))
+    assert np.array_equal(late.posture[:11], untouched.posture[:11])
+    assert not np.array_equal(late.posture[11:], untouched.posture[11:])
+    # All of them: the arm stays where it was, and alpha says so.
+    still = run(handed, policy, HandsSchedule(late=[[10.0, 1.0]]))
+    assert np.ptp(still.posture[14:, :7], axis=0).max() < np.deg2rad(0.2)
+    assert still.alpha[:10].max() < 0.5 < 0.9 < still.alpha.max()
+    assert not still.active.any()
+
+
 def test_without_hands_there_is_none_of_their_systems(rollout):
     names = {system.get_name() for system in rollout.diagram.GetSystems()}
-    assert not names & {"manual_disturbance", "camera_fault", "pull", "hands_grip"}
+    assert not names & {"manual_disturbance", "camera_fault", "pull", "hands_grip", "late_step"}
     with pytest.raises(InputError, match="hands=True"):
         rollout.create_context(Episode(0, CAN, "left", hands=HandsSchedule(grip=[[3, 1.0, *FREE]])))
 
@@ -164,6 +178,7 @@ def test_done_live_is_done_again_to_the_same_bits(handed, policy, tmp_path):
         ({"gamma": [[2.0, -1.0]]}, "gamma -1.0 is outside of 1 to 10000"),
         ({"gamma": [[2.0, 20_000.0]]}, "gamma 20000.0 is outside"),
         ({"force": [[2.0, 0, -60.5, 0]]}, "-60.5, 0.0. N is too large"),
+        ({"late": [[1.0, 1.5]]}, "share of late steps 1.5 is no share: choose 0 to 1"),
         ({"camera": [[1e12, 0.0]]}, "hands.camera has the tick 1e.12: give at most"),
     ],
 )
