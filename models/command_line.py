@@ -3,6 +3,7 @@
 import errno
 import importlib.util
 import io
+import multiprocessing
 import os
 import select
 import signal
@@ -72,11 +73,11 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
         except MemoryError as error:
             code = _bad_input(_words(error, f"there is not enough memory: {_MEMORY}"))
         except KeyboardInterrupt as end:
-            kept = "; ".join(getattr(end, "__notes__", ())) or "nothing is kept, start it again"
+            kept = "; ".join(getattr(end, "__notes__", ())) or "start it again"
             _say(f"{interrupts.ENDED}: {kept}")
             code = 128 + getattr(end, "number", signal.SIGINT)
-            _flush()
-            os._exit(code)  # workers, and threads that are in the middle of something, are not waited for
+            for worker in multiprocessing.active_children():
+                worker.kill()  # it is not waited for: what it does is not finished
         code = _flush() or code
     sys.exit(code)
 
