@@ -31,6 +31,7 @@ from diagrams.world.names import ARM_JOINTS, DISTURBANCES, ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.command_line import run
 from models.errors import InputError
+from models.files.container import locked
 from systems.detectors import DETECTORS
 
 NOTED = ("seed", "episodes", "disturbed", "trials", "factors", "betas")  # arguments that decide what is written
@@ -63,6 +64,12 @@ def parse(arguments: list[str] | None = None) -> BaselinesArguments:
 def main(arguments: BaselinesArguments) -> int:
     """Writes a file a detector beside the policies; returns the exit code."""
     _check(arguments)
+    # What two programs add to the same files at a time would be lost.
+    with locked(arguments.policies[0].parent / "baselines.lock", "folder of --policies"):
+        return _run(arguments)
+
+
+def _run(arguments: BaselinesArguments) -> int:
     from models.data.demonstrations import read_demonstrations, read_header
     from models.files.detectors import StoredDetector, save_detector
     from models.inference import Policy

@@ -20,6 +20,7 @@ from diagrams.world.configuration import World
 from diagrams.world.names import DECODER, ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.command_line import require, require_writable, run
+from models.files.container import write_text
 from models.networks import NETWORKS, network_label
 
 
@@ -76,7 +77,7 @@ def main(arguments: FiguresArguments) -> int:
     else:
         print("no --sweep with several values of --gamma: its curve is left out")
     written.append(out / "figures.json")
-    written[-1].write_text(json.dumps(notes, indent=1) + "\n")
+    write_text(written[-1], json.dumps(notes, indent=1) + "\n")
     print(f"written: {', '.join(map(str, written))}")
     return 0
 

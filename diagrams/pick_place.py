@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,7 @@ from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world
 from models.command_line import require, require_writable, run
 from models.errors import InputError
+from models.files.container import partial_of, write_text
 
 
 @dataclass
@@ -69,6 +71,16 @@ def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
 
 def main(cli: PickPlaceArguments) -> int:
     """Runs the episode that `cli` asks for; returns the exit code."""
+    video = None if cli.video is None else partial_of(cli.video)
+    try:
+        return _run(cli, video)
+    finally:
+        if video is not None:
+            video.unlink(missing_ok=True)
+
+
+def _run(cli: PickPlaceArguments, video: Path | None) -> int:
+    """As `main`; the frames go to the file `video`, until it is whole."""
     cli.check()
     if not 0.0 <= cli.realtime_rate < math.inf:
         raise InputError(
@@ -87,6 +99,7 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
     from diagrams.episodes.tick_table import tick_table
+    from diagrams.episodes.video import save_video
     from diagrams.world.requirements import broken
 
     formats = {
@@ -107,7 +120,7 @@ def main(cli: PickPlaceArguments) -> int:
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    shown = dict(meshcat=meshcat, video=cli.video, hands=bool(cli.hands))
+    shown = dict(meshcat=meshcat, video=video, hands=bool(cli.hands))
     rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, **shown)
     if cli.policy is None:
         require_named(rollout.policy, cli.rnn, controller.policy)
@@ -138,38 +151,41 @@ def main(cli: PickPlaceArguments) -> int:
     word = "void: the disturbance never came" if outcome.void else word
     meshcat.StopRecording()
     meshcat.PublishRecording()
-    if rollout.video is not None:
-        rollout.video.Save()
 
     def to_mcap(path: Path) -> None:
         from diagrams.episodes.mcap_file import save_mcap
 
         save_mcap(path, record, outcome, cli.world)
 
-    results: list[tuple[Path | None, Callable[[Path], object]]] = [
-        (cli.json, lambda path: path.write_text(json.dumps(outcome.to_dict(), indent=2) + "\n")),
-        (cli.record, lambda path: save_record(path, record, outcome)),
-        (cli.mcap, to_mcap),
-        (cli.replay, lambda path: path.write_text(meshcat.StaticHtml())),
-    ]
-    all_kept = all([_kept(path, write) for path, write in results if path is not None])
-    title = f"{rollout.policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
+    def to_video(path: Path) -> None:
+        assert video is not None
+        save_video(rollout.video, video, len(record.time), path)
 
-    def draw_timeline() -> None:
+    def draw_timeline(path: Path) -> None:
         from diagrams.drawing.timeline import save_timeline  # not before the run: matplotlib
 
-        save_timeline(record, cli.plot, title)
+        title = f"{rollout.policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
+        save_timeline(record, path, title)
 
-    def draw_film() -> None:
+    def draw_film(path: Path) -> None:
         from diagrams.drawing.film import save_film
 
-        assert cli.film is not None
-        save_film(record, cli.world, cli.film)
+        save_film(record, cli.world, path)
 
-    _draw("timeline", draw_timeline)
-    if cli.film is not None:
-        _draw("film", draw_film)
-    _draw("diagram", lambda: save_graph(rollout.diagram, cli.graphviz))
+    results: list[tuple[Path | None, Callable[[Path], object]]] = [
+        (cli.json, lambda path: write_text(path, json.dumps(outcome.to_dict(), indent=2) + "\n")),
+        (cli.record, lambda path: save_record(path, record, outcome)),
+        (cli.mcap, to_mcap),
+        (cli.video, to_video),
+        (cli.replay, lambda path: write_text(path, meshcat.StaticHtml())),
+    ]
+    pictures: list[tuple[str, Path | None, Callable[[Path], object]]] = [
+        ("timeline", cli.plot, draw_timeline),
+        ("film", cli.film, draw_film),
+        ("diagram", cli.graphviz, partial(save_graph, rollout.diagram)),
+    ]
+    all_kept = all([_kept(path, write) for path, write in results if path is not None])
+    all_kept &= all([_drawn(*each) for each in pictures])
     stages = {"picked": outcome.picked, "placed": outcome.placed, "at the initial posture": outcome.home}
     print(f"task {word}: " + ", ".join(f"{stage} {'yes' if reached else 'no'}" for stage, reached in stages.items()))
     if episode.hands:
@@ -200,12 +216,13 @@ def _kept(path: Path, write: Callable[[Path], object]) -> bool:
     return True
 
 
-def _draw(what: str, draw: Callable[[], None]) -> None:
-    """A picture that cannot be drawn does not undo the episode."""
+def _drawn(what: str, path: Path | None, draw: Callable[[Path], object]) -> bool:
+    """As `_kept`; a picture that cannot be drawn for another reason does not undo the episode, and is a warning."""
     try:
-        draw()
+        return path is None or _kept(path, draw)
     except Exception as error:
         print(f"warning: the {what} could not be drawn: {' '.join(str(error).split())}", file=sys.stderr)
+        return True
 
 
 if __name__ == "__main__":

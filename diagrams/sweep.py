@@ -24,7 +24,7 @@ from diagrams.sweeps.task import FILES, HASHES, Task, believed, error_row, run_t
 from diagrams.world.scenario import load_world
 from models.command_line import require, run
 from models.errors import InputError
-from models.files.container import write_bytes
+from models.files.container import write_bytes, write_text
 
 ROWS = "rows.jsonl"  # in the folder --out
 
@@ -104,7 +104,7 @@ def finish(arguments: SweepArguments, rows: list[dict[str, Any]]) -> int:
         "cells": cells(frame),
         "comparisons": comparisons(frame),
     }
-    (arguments.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n")
+    write_text(arguments.out / "summary.json", json.dumps(summary, indent=1) + "\n")
     print(table(summary))
     errors = sum(row["error"] is not None for row in rows)
     if errors:

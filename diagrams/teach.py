@@ -75,7 +75,7 @@ def main(arguments: TeachArguments) -> int:
         missing = [(world, setup) for setup in todo if setup.name not in file]
         done = len(todo) - len(missing)
         recordings = pool.run(demonstrate, missing)
-        for _, recording in tqdm(recordings, total=len(todo), initial=done, unit="demo", desc="teaching"):
+        for _, recording in tqdm(recordings, total=len(todo), initial=done, unit="demo", desc="teaching", disable=None):
             file.add(recording)
         content, failed = file.finish([setup.name for setup in todo])
     print(f"{len(todo) - len(failed)} of {len(todo)} demonstrations succeeded; content {content[:16]}")

@@ -1,14 +1,20 @@
 """How every program begins and ends: arguments in, exit code out; bad input is one clear line and exit code 2."""
 
+import errno
 import importlib.util
+import io
+import multiprocessing
 import os
 import select
+import signal
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
+from models import interrupts
 from models.errors import InputError
 
 # Which extra of pyproject.toml brings a module.
@@ -20,43 +26,108 @@ EXTRAS = {
     "analysis": ("cmaes", "optuna"),
     "live": ("bokeh", "tornado"),
 }
+_MEMORY = "free some, or take fewer --workers"
+_PLACE = "choose another place, or make it writable"
+_NAME = "choose another name"
+# What the machine refuses, and what helps. Other errors of the system are faults of the program.
+REMEDIES = {
+    errno.ENOSPC: "make room there, or choose another place", errno.EDQUOT: "make room there, or choose another place",
+    errno.EFBIG: "raise the limit of a file's size (ulimit -f)", errno.EIO: "check the disk",
+    errno.EACCES: _PLACE, errno.EPERM: _PLACE, errno.EROFS: _PLACE,
+    errno.ENOENT: _NAME, errno.ENOTDIR: _NAME, errno.EISDIR: _NAME, errno.ENAMETOOLONG: _NAME, errno.EEXIST: _NAME,
+    errno.EMFILE: "raise the limit of open files (ulimit -n), or take fewer --workers",
+    errno.ENFILE: "raise the limit of open files (ulimit -n), or take fewer --workers",
+    errno.ENOMEM: _MEMORY, errno.EAGAIN: "raise the limit of processes (ulimit -u), or take fewer --workers",
+}  # fmt: skip
 ROOT = Path(__file__).resolve().parents[1]  # of the checkout
 
 
 def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
-    """Ends the process with the exit code of `main(arguments())`; 2, after one line on stderr, for an InputError."""
-    try:
-        require_checkout()
-        code = main(arguments())
-    except SystemExit as end:  # --help, and the parser's own errors
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except InputError as error:
-        code = _bad_input(str(error))
-    except ModuleNotFoundError as absent:
-        extra = next((e for e, names in EXTRAS.items() if (absent.name or "").split(".")[0] in names), None)
-        if extra is None:
-            raise
-        code = _bad_input(f"this needs {absent.name}: pip install -e '.[{extra}]'")
-    except BrokenPipeError:
-        if not _reader_gone():  # another pipe than the output's
-            raise
-        code = 141  # as if ended by SIGPIPE: what was to be done is not done
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        code = 130
-    try:
-        if sys.stdout is not None:  # closed by whoever started the program
-            sys.stdout.flush()
-    except BrokenPipeError:  # whoever read it has had enough: what is left goes nowhere
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Ends the process with the exit code of `main(arguments())`.
+
+    Bad input, and what the machine refuses (a full disk, a folder that cannot be written, ...), is one line on stderr
+    and exit code 2; Ctrl-C and SIGTERM are one line and 130 or 143. A pipe that nobody reads any more: 141, quietly.
+    """
+    _open_streams()
+    with interrupts.listening():
+        try:
+            require_checkout()
+            code = main(arguments())
+        except SystemExit as end:  # --help, and the parser's own errors
+            code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        except InputError as error:
+            code = _bad_input(_words(error))
+        except ModuleNotFoundError as absent:
+            extra = next((e for e, names in EXTRAS.items() if (absent.name or "").split(".")[0] in names), None)
+            if extra is None:
+                raise
+            code = _bad_input(f"this needs {absent.name}: pip install -e '.[{extra}]'")
+        except BrokenPipeError:
+            if not _reader_gone():  # another pipe than the output's
+                raise
+            code = 128 + signal.SIGPIPE  # as if ended by it: what was to be done is not done
+        except OSError as error:
+            if error.errno not in REMEDIES:
+                raise
+            code = _bad_input(_of_machine(error))
+        except MemoryError as error:
+            code = _bad_input(_words(error, f"there is not enough memory: {_MEMORY}"))
+        except KeyboardInterrupt as end:
+            kept = "; ".join(getattr(end, "__notes__", ())) or "start it again"
+            _say(f"{interrupts.ENDED}: {kept}")
+            code = 128 + getattr(end, "number", signal.SIGINT)
+            for worker in multiprocessing.active_children():
+                worker.kill()  # it is not waited for: what it does is not finished
+        code = _flush() or code
     sys.exit(code)
+
+
+def _open_streams() -> None:
+    """What was closed by whoever started the program is the null device; no character ends the program."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_RDWR)  # gets that number, which else the next file would have
+            os.set_inheritable(null, True)
+            setattr(sys, name, open(null, "w" if number else "r", encoding="utf-8"))  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal may have no plus-minus sign
+
+
+def _flush() -> int:
+    """Writes what is left of the output; an exit code where that cannot be done, else 0."""
+    code = 0
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:  # whoever read it has had enough: what is left goes nowhere
+            pass
+        except OSError as error:
+            code = _bad_input(_of_machine(error))
+        else:
+            continue
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return code
 
 
 def _reader_gone() -> bool:
     """Whether the output is a pipe that nobody reads any more."""
     poll = select.poll()
-    poll.register(sys.stdout, select.POLLOUT)
+    for stream in (sys.stdout, sys.stderr):
+        poll.register(stream, select.POLLOUT)
     return any(state & select.POLLERR for _, state in poll.poll(0))
+
+
+def _of_machine(error: OSError) -> str:
+    """What the machine refused, in words."""
+    where = "the output" if error.filename is None else error.filename
+    number = error.errno or 0
+    return _words(error, f"{where}: {os.strerror(number)}: {REMEDIES[number]}")
+
+
+def _words(error: BaseException, text: str | None = None) -> str:
+    """The error in words, with its notes."""
+    return "; ".join([str(error) if text is None else text, *getattr(error, "__notes__", ())])
 
 
 def require(*modules: str, extra: str | None = None) -> None:
@@ -92,5 +163,11 @@ def require_writable(path: Path) -> None:
 
 
 def _bad_input(words: str) -> int:
-    print(f"error: {' '.join(words.split())}", file=sys.stderr)
+    _say(f"error: {words}")
     return 2
+
+
+def _say(words: str) -> None:
+    """One line on stderr, if there is anybody to read it."""
+    with suppress(OSError):
+        print(" ".join(words.split()), file=sys.stderr, flush=True)

@@ -189,7 +189,6 @@ class Session:
         Raises InputError where it cannot be written.
         """
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             save_scenario(path, self.recorded(), [f"As played for {self.seconds:.1f} s: pick_place.py --scenario FILE"])
         except OSError as error:
             raise InputError(f"{path} cannot be written ({error.strerror}): make room for it") from error

@@ -29,6 +29,7 @@ from diagrams.world.ghost import MODELS, TRANSLUCENT
 from diagrams.world.names import ARM_JOINTS, CAN_RADIUS, CANS
 from diagrams.world.station import RENDERER, add_models, can_body, renderer
 from diagrams.world.task import held
+from models.files.container import whole_file
 
 SIZE, FIELD_OF_VIEW_DEG = (560, 420), 42.0  # pixels; vertical
 AROUND = 1.5  # s before the disturbance and after the network has the arm again
@@ -39,10 +40,10 @@ GREEN, RED, ORANGE = (47, 133, 90), (197, 48, 48), (221, 107, 32)
 def save_film(record: Record, world: World, path: Path) -> None:
     """Writes `film_frames` to `path`, see FILM_FORMATS, in the time of the run."""
     frames = [Image.fromarray(frame) for frame in film_frames(record, world)]
-    path.parent.mkdir(parents=True, exist_ok=True)
     length = round(1000 * world.timing.period)
     options = {"quality": QUALITY, "method": 4} if path.suffix == ".webp" else {"optimize": True}
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=length, loop=0, **options)
+    with whole_file(path) as partial:
+        frames[0].save(partial, save_all=True, append_images=frames[1:], duration=length, loop=0, **options)
 
 
 def film_frames(record: Record, world: World) -> list[np.ndarray]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from pydrake.systems.framework import Diagram
 
 from models.errors import InputError
+from models.files.container import write_bytes, write_text
 
 FORMATS = (".dot", ".svg", ".png")
 # The controller and the station's own systems are shown; what is inside Drake's is not.
@@ -32,9 +33,8 @@ def save_graph(diagram: Diagram, path: Path) -> None:
     if path.suffix not in FORMATS:
         raise InputError(f"{path.name} is no format for the graph: choose a name that ends in {', '.join(FORMATS)}")
     text = readable(diagram.GetGraphvizString(max_depth=DEPTH, options={"plant/split": "I/O"}))
-    path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".dot":
-        path.write_text(text)
+        write_text(path, text)
         return
     # Without Graphviz the command of a dependency, beside this Python.
     dot = shutil.which("dot") or shutil.which("graphviz-pure", path=sysconfig.get_path("scripts"))
@@ -44,11 +44,11 @@ def save_graph(diagram: Diagram, path: Path) -> None:
             "install Graphviz or the package graphviz-pure, or ask for .dot"
         )
     try:
-        command = [dot, f"-T{path.suffix[1:]}", "-o", str(path)]
-        subprocess.run(command, input=text, text=True, check=True, capture_output=True)
+        drawn = subprocess.run([dot, f"-T{path.suffix[1:]}"], input=text.encode(), check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        words = " ".join((getattr(error, "stderr", None) or str(error)).split())
+        words = getattr(error, "stderr", b"").decode(errors="replace") or str(error)
         raise InputError(f"{dot} cannot draw {path} ({words}): mend that program, or ask for .dot") from error
+    write_bytes(path, drawn.stdout)
 
 
 def readable(text: str) -> str:

@@ -11,6 +11,8 @@ from matplotlib.axes import Axes  # noqa: F401 (for those who draw)
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from models.files.container import whole_file
+
 BLUE, RED, GREEN, ORANGE = "#2b6cb0", "#c53030", "#2f855a", "#dd8a20"
 DPI = 110
 
@@ -29,5 +31,5 @@ def new_figure(
 
 def save(figure: Figure, path: Path) -> None:
     """Writes `figure` to `path`, in the format that its ending says; makes the folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI)
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=DPI)

@@ -6,6 +6,7 @@ run again by a fresh worker; a job under which workers die again and again is gi
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
@@ -14,10 +15,13 @@ from concurrent.futures.process import BrokenProcessPool
 from queue import Empty, SimpleQueue
 from typing import Any, Self, TypeVar
 
+from models import interrupts
 from models.errors import InputError
+from models.files.container import naming
 
 MOST_WORKERS = 1000
 ATTEMPTS = 3  # of a job under which workers die
+LISTENS_EVERY = 0.2  # s: for a request to end
 J = TypeVar("J")
 R = TypeVar("R")
 T = TypeVar("T")
@@ -40,9 +44,9 @@ class Pool:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         while not self._idle.empty():
-            self._idle.get().shutdown(cancel_futures=True)
+            self._idle.get().shutdown(wait=error is None, cancel_futures=True)
 
     def run(
         self, function: Callable[[J], R], jobs: Iterable[J], given_up: Callable[[J, WorkerDied], R] | None = None
@@ -52,23 +56,38 @@ class Pool:
         `function`: of a module that can be imported. `given_up` gives the result of a job under which ATTEMPTS workers
         died; None: WorkerDied is raised. No more jobs are handed out than there are workers: a consumer that stops
         early leaves the others unbegun. May be called from several threads.
+
+        Raises Interrupted where the program is asked to end; what is finished by then is yielded first.
         """
         if not self._workers:
-            yield from ((job, function(job)) for job in jobs)
+            for job in jobs:
+                interrupts.leave_if_asked()
+                result = function(job)
+                with interrupts.held():
+                    yield job, result
             return
+        with interrupts.held():
+            yield from self._run(function, jobs, given_up)
+
+    def _run(
+        self, function: Callable[[J], R], jobs: Iterable[J], given_up: Callable[[J, WorkerDied], R] | None
+    ) -> Iterator[tuple[J, R]]:
         waiting = deque((job, 1) for job in jobs)
         running: dict[Future, tuple[ProcessPoolExecutor, J, int]] = {}
         try:
             while waiting or running:
-                while waiting and (worker := self._take(block=not running)) is not None:
+                while waiting and not interrupts.asked() and (worker := self._take(not running)) is not None:
                     job, attempt = waiting.popleft()
                     try:
-                        future = worker.submit(function, job)
+                        future = _submit(worker, function, job)
                     except BrokenProcessPool:  # it died while it had nothing to do
                         worker = _worker()
-                        future = worker.submit(function, job)
+                        future = _submit(worker, function, job)
                     running[future] = worker, job, attempt
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                finished = wait(running, LISTENS_EVERY, return_when=FIRST_COMPLETED).done
+                if not finished:
+                    interrupts.leave_if_asked()
+                for future in finished:
                     worker, job, attempt = running.pop(future)
                     died = isinstance(future.exception(), BrokenProcessPool)
                     self._idle.put(_worker() if died else worker)
@@ -81,6 +100,9 @@ class Pool:
                         if given_up is None:
                             raise gone
                         yield job, given_up(job, gone)
+        except interrupts.Interrupted:
+            running.clear()  # nobody waits for them
+            raise
         finally:
             for future, (worker, _, _) in running.items():
                 # Waits: a worker is handed back when it is free.
@@ -96,13 +118,23 @@ class Pool:
                 self._unmade -= 1
                 return _worker()
         try:
-            return self._idle.get(block)
+            return self._idle.get(block, LISTENS_EVERY)
         except Empty:
             return None
 
 
 def _worker() -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
+    with naming("/dev/shm"):  # whence the locks between processes come
+        return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
+
+
+def _submit(worker: ProcessPoolExecutor, function: Callable[[J], R], job: J) -> "Future[R]":
+    """Ctrl-C at a terminal is told every process: here it is the parent's alone, and a worker does not hear of it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which a process begins with
+    try:
+        return worker.submit(function, job)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin() -> None:

@@ -4,7 +4,6 @@ import dataclasses
 import hashlib
 import io
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from diagrams.episodes.episode import Outcome
 from models.errors import InputError
+from models.files.container import write_bytes
 
 PICTURE_EVERY = 5  # ticks between two pictures in a record's file
 _REMEDY = "write one with `pick_place.py --record FILE.npz`"
@@ -75,10 +75,7 @@ def record_bytes(record: Record, outcome: Outcome) -> bytes:
 
 def save_record(path: Path, record: Record, outcome: Outcome) -> None:
     """Writes `record` and `outcome` to `path` (.npz)."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.stem}.{os.getpid()}.part")
-    partial.write_bytes(record_bytes(record, outcome))
-    partial.replace(path)
+    write_bytes(path, record_bytes(record, outcome))
 
 
 def load_record(path: Path) -> tuple[Record, dict]:

@@ -1,12 +1,13 @@
 """The one store for what is resumed: rows appended to a file, a line of JSON each, on disk before they are counted."""
 
-import fcntl
 import json
 import os
 from pathlib import Path
 from typing import Any, Self
 
 from models.errors import InputError
+from models.files.container import lock, naming
+from models.interrupts import held
 
 FIRST = b'{"fingerprint": '  # how such a file begins
 
@@ -27,14 +28,12 @@ class RowStore:
         fingerprint = json.loads(json.dumps(fingerprint))
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("a+b")
+            self._file = path.open("a+b", buffering=0)
         except OSError as error:
             raise InputError(f"{path} cannot be written ({error.strerror}): choose another {option}") from error
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise InputError(f"{path} is in use by another program: wait for it, or choose another {option}") from error
-        try:
+            with naming(path):
+                lock(self._file, path, option)
             self._read(fingerprint, option)
         except BaseException:
             self._file.close()
@@ -67,21 +66,34 @@ class RowStore:
             self._write({"fingerprint": fingerprint})
 
     def add(self, key: str, row: Any) -> None:
-        """Adds a row (plain types) under `key`, over an earlier one; it is on disk when this returns."""
-        self._write({"key": key, "row": row})
-        self.rows[key] = row
+        """Adds a row (plain types) under `key`, over an earlier one; it is on disk when this returns.
+
+        An OSError, as of a full disk, leaves the file as it was.
+        """
+        with held():
+            self._write({"key": key, "row": row})
+            self.rows[key] = row
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, kind: object = None, error: BaseException | None = None, trace: object = None) -> None:
         self._file.close()
+        if isinstance(error, KeyboardInterrupt | OSError):
+            error.add_note(f"{self.path} keeps what was finished, {len(self.rows)} rows: the same command goes on")
 
     def _write(self, content: dict[str, Any]) -> None:
-        # One line in one write; NaN and infinity, which a row may hold, are Python's own words.
-        self._file.write(json.dumps(content).encode() + b"\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        # NaN and infinity, which a row may hold, are Python's own words.
+        line = json.dumps(content).encode() + b"\n"
+        size = self._file.seek(0, os.SEEK_END)
+        with naming(self.path):
+            try:
+                while line:
+                    line = line[self._file.write(line) :]
+                os.fsync(self._file.fileno())
+            except OSError:
+                self._file.truncate(size)  # no half of a line that a later one would follow
+                raise
 
 
 def _require_same(path: Path, have: dict[str, Any], want: dict[str, Any], option: str) -> None:

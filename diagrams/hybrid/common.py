@@ -10,6 +10,7 @@ from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.command_line import require_writable
 from models.errors import InputError
+from models.files.container import write_text
 
 if TYPE_CHECKING:
     from diagrams.episodes.episode import Episode
@@ -52,7 +53,7 @@ class Arguments:
         """Writes the report (plain types) to NAME.json in `out`."""
         text = json.dumps({"seed": self.seed} | report)
         finite = json.loads(text, parse_constant=lambda _: None)  # JSON has no word for NaN and infinity
-        self._report.write_text(json.dumps(finite, indent=1) + "\n")
+        write_text(self._report, json.dumps(finite, indent=1) + "\n")
 
     @property
     def _report(self) -> Path:

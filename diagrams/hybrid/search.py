@@ -13,6 +13,7 @@ from diagrams.episodes.store import RowStore
 from diagrams.hybrid.perturbations import Perturbation, judge
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS
+from models.interrupts import Interrupted, held
 
 SAMPLERS = {"tpe": "TPESampler", "cmaes": "CmaEsSampler", "random": "RandomSampler"}  # Optuna's classes
 ASKS_PER_TRIAL = 50  # proposals that are no perturbation are told so; after that many a search gives up
@@ -100,7 +101,7 @@ def search_all(
     """
     from tqdm import tqdm
 
-    found, errors, lock = dict[str, list[Trial]](), list[Exception](), threading.Lock()
+    found, errors, lock = dict[str, list[Trial]](), list[BaseException](), threading.Lock()
     bar = tqdm(total=trials * len(samplers), desc="falsify", unit="trial", disable=None)
 
     def guarded(suggest: Any) -> Perturbation | None:
@@ -121,12 +122,13 @@ def search_all(
 
         try:
             found[name] = search(make_sampler(name, seed), guarded, known_or_run, trials)
-        except Exception as error:
+        except (Exception, Interrupted) as error:
             errors.append(error)
 
     # No ThreadPoolExecutor: at the interpreter's end it waits for its threads before the pool's workers are let go.
     threads = [threading.Thread(target=one, args=(name,)) for name in samplers]
-    with bar:
+    # Held: a search ends by itself, where the pool has nothing more for it.
+    with held(), bar:
         for thread in threads:
             thread.start()
         for thread in threads:

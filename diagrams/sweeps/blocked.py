@@ -2,6 +2,7 @@
 
 from diagrams.episodes.pool import Pool, kept_in_thread
 from diagrams.episodes.sampling import SEEDS_APART, EpisodeSampler, episode_seeds
+from diagrams.episodes.store import RowStore
 from diagrams.world.configuration import World
 from models.errors import InputError
 
@@ -22,20 +23,29 @@ def require_takes_arm(kinds: list[str]) -> None:
             raise InputError(f"from a disturbance '{kind}' there is no way home that could be blocked: choose A or B")
 
 
-def blocked_seeds(world: World, purpose: str, seed: int, count: int, kind: str, workers: int) -> list[int]:
+def blocked_seeds(
+    world: World, purpose: str, seed: int, count: int, kind: str, workers: int, store: RowStore
+) -> list[int]:
     """The first `count` seeds of `episode_seeds` whose straight way home from a disturbance `kind` touches something.
 
-    Raises InputError for a kind that does not take the arm, or where fewer are blocked.
+    `store`: keeps what was looked at. Raises InputError for a kind that does not take the arm, or where fewer are
+    blocked.
     """
     from tqdm import tqdm
 
     require_takes_arm([kind])
     seeds, found = episode_seeds(purpose, seed, SEEDS_APART), list[int]()
     each = BATCH * max(workers, 1)
+
+    def key(first: int) -> str:
+        return f"{kind} {first} {BATCH}"
+
     with Pool(workers) as pool, tqdm(total=count, desc=f"blocked ways home, {kind}", leave=False, disable=None) as bar:
         for start in range(0, len(seeds), each):
-            jobs = [(world, kind, seeds[i : i + BATCH]) for i in range(start, start + each, BATCH)]
-            found += sorted(seed for _, blocked in pool.run(_blocked, jobs) for seed in blocked)
+            jobs = [(world, kind, seeds[i : i + BATCH]) for i in range(start, min(start + each, len(seeds)), BATCH)]
+            for (_, _, batch), blocked in pool.run(_blocked, [j for j in jobs if key(j[2][0]) not in store.rows]):
+                store.add(key(batch[0]), blocked)
+            found += [blocked for _, _, batch in jobs for blocked in store.rows[key(batch[0])]]
             bar.n = min(len(found), count)
             bar.refresh()
             if len(found) >= count:

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from diagrams.episodes.cores import cores
+from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import MOST_WORKERS
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
+from diagrams.episodes.store import RowStore
 from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
 from diagrams.sweeps.task import FILES, Task
 from diagrams.world.configuration import World
@@ -152,10 +154,10 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     blocked = arguments.way_home == "blocked"  # a search of minutes: last
     if blocked:
         require_takes_arm(kinds)
-    seeds = {
-        kind: blocked_seeds(world, *asked, kind, arguments.workers) if blocked else episode_seeds(*asked)
-        for kind in kinds
-    }
+        with RowStore(arguments.out / "blocked.jsonl", fingerprint(world)) as store:
+            seeds = {kind: blocked_seeds(world, *asked, kind, arguments.workers, store) for kind in kinds}
+    else:
+        seeds = dict.fromkeys(kinds, episode_seeds(*asked))
     files = tuple(name for name in FILES if (arguments.keep_records if name == "records" else arguments.mcap))
     tasks = [
         Task(

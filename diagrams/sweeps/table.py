@@ -12,6 +12,7 @@ from diagrams.sweeps.task import ROBUSTNESS
 from diagrams.world.configuration import World
 from diagrams.world.requirements import requirements
 from models.errors import InputError
+from models.files.container import whole_file
 
 TABLE = "episodes.parquet"
 _TYPES = {
@@ -43,9 +44,8 @@ _EPISODE = ["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]
 def write_table(folder: Path, rows: list[dict[str, Any]]) -> Path:
     """Writes all `rows`, in their order, as the table in `folder`; returns its name."""
     path = folder / TABLE
-    partial = path.with_suffix(".partial")
-    pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial)
-    partial.replace(path)
+    with whole_file(path) as partial:
+        pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial)
     return path
 
 

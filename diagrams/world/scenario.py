@@ -9,6 +9,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import SPOTS
 from models.errors import InputError
+from models.files.container import write_text
 from models.networks import network_label
 from models.policy import POLICIES, make_policy
 from systems.detectors import DETECTORS
@@ -86,4 +87,4 @@ def save_scenario(path: Path, scenario: Scenario, comments: list[str] | None = N
     from pydrake.common.yaml import yaml_dump_typed
 
     text = yaml_dump_typed(scenario, defaults=Scenario())
-    path.write_text("".join(f"# {line}\n" for line in comments or []) + text)
+    write_text(path, "".join(f"# {line}\n" for line in comments or []) + text)

@@ -9,9 +9,8 @@ robomimic layout (models/data/recording.py). Pictures are compressed (H.264), nu
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ import pyarrow.parquet as pq
 from models.data.demonstrations import number_of
 from models.data.recording import Recording
 from models.errors import InputError
+from models.files.container import locked, whole_file, write_bytes
 
 CAMERA = "observation.images.camera"
 VERSION, CHUNK = "v3.0", 1000  # files in a folder
@@ -48,6 +48,7 @@ class LeRobotFolder(AbstractContextManager):
 
         Raises InputError where it cannot be written, is anything else, or was recorded with other settings.
         """
+        self._held = ExitStack()
         self._path, self._attributes = path, {k: np.asarray(v).tolist() for k, v in attributes.items()}
         self._names = json.loads(attributes["posture_names"])
         self._robot = json.loads(attributes["world"])["models"].partition(".")[0]
@@ -66,8 +67,8 @@ class LeRobotFolder(AbstractContextManager):
                 if others := [name for name, value in text.items() if found.get(name) != value]:
                     words = " and another ".join(others)
                     raise InputError(f"{path} was recorded with another {words}: delete it, or choose another --out")
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            _write(kept, json.dumps({"settings": text, "attributes": self._attributes}, indent=1).encode())
+            self._held.enter_context(locked(kept.with_suffix(".lock")))
+            write_bytes(kept, json.dumps({"settings": text, "attributes": self._attributes}, indent=1).encode())
         except OSError as error:
             raise InputError(f"{path} cannot be written ({error.strerror}): choose another --out") from error
         except (KeyError, TypeError, ValueError) as error:
@@ -75,8 +76,10 @@ class LeRobotFolder(AbstractContextManager):
                 raise
             raise InputError(f"{kept} is damaged ({error}): delete {path}, or choose another --out") from error
 
-    def __exit__(self, *error: object) -> None:
-        pass
+    def __exit__(self, kind: object = None, error: BaseException | None = None, trace: object = None) -> None:
+        self._held.close()
+        if isinstance(error, KeyboardInterrupt | OSError):
+            error.add_note(f"{self._path} keeps what was finished: the same command goes on")
 
     def __contains__(self, name: str) -> bool:
         return self._data(number_of(name)).is_file() and self._video(number_of(name)).is_file()
@@ -159,10 +162,10 @@ class LeRobotFolder(AbstractContextManager):
         self._write_table(self._path / "meta" / "tasks.parquet", pa.Table.from_pandas(tasks))
         whole = {key: _statistics(np.concatenate(parts)) for key, parts in values.items()}
         whole[CAMERA] = _of_pictures(counts, first)
-        _write(self._path / "meta" / "stats.json", json.dumps(whole, indent=1).encode())
+        write_bytes(self._path / "meta" / "stats.json", json.dumps(whole, indent=1).encode())
         content = digest.hexdigest()
         info = self._info(self._video(min(map(number_of, names))), len(rows), first) | {"content_hash": content}
-        _write(self._path / "meta" / "info.json", json.dumps(info, indent=1).encode())
+        write_bytes(self._path / "meta" / "info.json", json.dumps(info, indent=1).encode())
         return content, failed
 
     def _info(self, video_path: Path, episodes: int, frames: int) -> dict[str, Any]:
@@ -191,21 +194,16 @@ class LeRobotFolder(AbstractContextManager):
     def _encode(self, path: Path, pictures: np.ndarray) -> None:
         import av
 
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f"part-{path.name}")  # the end says the format
-        with av.open(str(partial), "w") as container:
+        with whole_file(path) as partial, av.open(str(partial), "w") as container:
             stream: Any = container.add_stream(CODEC, rate=self._fps, options=CODEC_OPTIONS)
             stream.height, stream.width, stream.pix_fmt = *pictures.shape[1:3], "yuv420p"
             for picture in pictures:
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")))
             container.mux(stream.encode())
-        os.replace(partial, path)
 
     def _write_table(self, path: Path, table: pa.Table) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f"{path.name}.part")
-        pq.write_table(table, partial)
-        os.replace(partial, path)
+        with whole_file(path) as partial:
+            pq.write_table(table, partial)
 
     def _data(self, number: int) -> Path:
         chunk, file = divmod(number, CHUNK)
@@ -214,12 +212,6 @@ class LeRobotFolder(AbstractContextManager):
     def _video(self, number: int) -> Path:
         chunk, file = divmod(number, CHUNK)
         return self._path / "videos" / CAMERA / (_PLACES.format(chunk_index=chunk, file_index=file) + ".mp4")
-
-
-def _write(path: Path, content: bytes) -> None:
-    partial = path.with_name(f"{path.name}.part")
-    partial.write_bytes(content)
-    os.replace(partial, path)
 
 
 def _rows(array: np.ndarray) -> pa.Array:

@@ -1,7 +1,10 @@
 """Writes the teacher's demonstrations to one HDF5 file in robomimic's layout, which demonstrations.py reads."""
 
 import hashlib
+import io
 import json
+import os
+import tempfile
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -13,8 +16,10 @@ import numpy as np
 
 from models.data.demonstrations import SPLITS, Demonstration, hdf5_errors, number_of
 from models.errors import InputError
+from models.files.container import naming, write_bytes
 
 LAYOUT_VERSION = 2
+MARGIN = 1 << 20  # bytes
 _ARRAYS = {"obs/rgb": "rgb", "obs/posture": "posture", "actions": "actions"}  # name in the file: field of Recording
 
 
@@ -48,26 +53,38 @@ class RecordingFile(AbstractContextManager):
         text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
         damaged = "if a kill in the middle of a write broke it, delete it"
         with hdf5_errors(path, "written", "choose another --out", damaged):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if not path.exists():  # begun under another name: a kill leaves no half of a file
-                begun = path.with_name(f"{path.name}.part")
+            if not path.exists():
+                begun = io.BytesIO()
                 with h5py.File(begun, "w") as file:
                     file.create_group("data").attrs["env_args"] = text
-                begun.replace(path)
+                write_bytes(path, begun.getvalue())
             with h5py.File(path, "r") as file:  # first without touching it: it may be anybody's
                 _require_same(path, file, json.loads(text))
-            self._file = h5py.File(path, "r+")
+            self._path, self._file = path, h5py.File(path, "r+")
+            self._reserve(0)
         self._data = self._file["data"]
         self._data.attrs.update(attributes)
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, kind: object = None, error: BaseException | None = None, trace: object = None) -> None:
+        number = len(self._data)
         self._file.close()
+        if isinstance(error, KeyboardInterrupt | OSError):
+            error.add_note(f"{self._path} keeps {number} demonstrations: the same command goes on")
+
+    def _reserve(self, size: int) -> None:
+        """Raises OSError unless there is room for `size` bytes more, and what HDF5 writes beside them.
+
+        HDF5 itself crashes where it cannot write: another file, without a name, is made to grow so far.
+        """
+        with naming(self._path), tempfile.TemporaryFile(dir=self._path.parent) as file:
+            os.posix_fallocate(file.fileno(), self._file.id.get_filesize(), size + MARGIN)
 
     def __contains__(self, name: str) -> bool:
         return name in self._data
 
     def add(self, recording: Recording) -> None:
-        """Writes one demonstration; it is whole in the file when this returns."""
+        """Writes one demonstration; it is whole in the file when this returns. An OSError leaves the file whole."""
+        self._reserve(sum(getattr(recording, name).nbytes for name in _ARRAYS.values()))
         partial = f"partial_{recording.name}"
         if partial in self._file:  # left by a kill in the middle of a write
             del self._file[partial]
@@ -85,6 +102,7 @@ class RecordingFile(AbstractContextManager):
     def finish(self, names: Sequence[str]) -> tuple[str, list[str]]:
         """Lists those demonstrations in the mask; returns the content hash, and the names of those that failed."""
         data = self._data
+        self._reserve(0)
         if "mask" in self._file:
             del self._file["mask"]
         for split in SPLITS:

@@ -1,13 +1,18 @@
 """What every weight file has in common: how it is read, written and named when it cannot be used."""
 
+import errno
+import fcntl
 import hashlib
 import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from models.errors import InputError
 
 FORMAT = 1
+OF_NO_FILE = errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN  # errors that say nothing about a path
 RETRAIN = "Take the file from the repository again (git checkout), or train it with `python -m models.training`"
 
 
@@ -37,13 +42,81 @@ def file_hash(path: str | Path) -> str:
     return hashlib.sha256(read_bytes(path, 1 << 40)).hexdigest()
 
 
-def write_bytes(path: str | Path, content: bytes) -> None:
-    """Writes the file; it gets its name only when whole."""
+def partial_of(path: Path) -> Path:
+    """The name under which this process writes `path` until it is whole; with its ending, which says the format."""
+    return path.with_name(f"{path.stem}.{os.getpid()}.part{path.suffix}")
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """A name beside `path` to write to, see `partial_of`: it becomes `path` when the block has ended well, else goes.
+
+    Makes the folder. An OSError of the block names `path`.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    partial.write_bytes(content)
-    os.replace(partial, path)
+    partial = partial_of(path)
+    try:
+        with naming(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield partial
+            os.replace(partial, path)
+    finally:
+        with suppress(OSError):
+            partial.unlink()
+
+
+def write_bytes(path: str | Path, content: bytes | memoryview) -> None:
+    """Writes the file; it gets its name only when whole. An OSError names it."""
+    with whole_file(path) as partial:
+        partial.write_bytes(content)
+
+
+def write_text(path: str | Path, content: str) -> None:
+    """As `write_bytes`, in UTF-8, whatever this machine's language is."""
+    write_bytes(path, content.encode())
+
+
+@contextmanager
+def locked(path: Path, option: str = "--out") -> Iterator[None]:
+    """Holds `path`, a file that is there for the block alone; InputError where another program holds it.
+
+    The kernel lets go of it, whatever ends the process. `option`: where the user gave the folder.
+    """
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    while True:
+        with naming(path), ExitStack() as opened:
+            file = opened.enter_context(path.open("ab"))
+            lock(file, path.parent, option)
+            if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                opened.pop_all()
+                break  # else it was the last one's, and is gone
+    with file:
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def lock(file: IO, what: Path, option: str) -> None:
+    """Locks the open `file` until it is closed; raises InputError where another program has it; `what` is in use."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise InputError(
+            f"{what} is in use by another program: wait for its end, or choose another {option}"
+        ) from error
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """An OSError of the block names `path`: one of a write, or a lock, has no name."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.errno in OF_NO_FILE:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def require_kind(path: str | Path, header: dict[str, Any], kind: str) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 from models.command_line import run
-from models.errors import InputError
 
 
 def commands() -> dict[str, tuple[Any, Callable[[Any], Any]]]:
@@ -35,13 +34,8 @@ def parse(arguments: list[str] | None = None) -> Any:
 
 
 def main(options: Any) -> int:
-    """Does what the options' command says; raises InputError for what cannot be used."""
-    try:
-        next(command for kind, command in commands().values() if type(options) is kind)(options)
-    except BrokenPipeError:
-        raise
-    except OSError as error:  # a folder that cannot be made, a disk that is full
-        raise InputError(str(error)) from error
+    """Does what the options' command says, and returns 0; raises InputError for what cannot be used."""
+    next(command for kind, command in commands().values() if type(options) is kind)(options)
     return 0
 
 

@@ -1,12 +1,13 @@
 """Checkpoints of a training: resumed by the same command, refused by another."""
 
-import os
+import io
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from models.errors import InputError
+from models.files.container import write_bytes
 
 _FREE = {"checkpoint_every", "validate_every"}  # options that change no weight: a training may go on with others
 
@@ -26,10 +27,10 @@ class Checkpoint:
         path = self.training.weight_file(done)
         if export and path is not None:
             self.training.export(path, done)
-        partial = self.path.with_suffix(".part")
         stored = {"made_with": self.made_with, "done": done, "state": state, "optimizer": self.optimizer.state_dict()}
-        torch.save(stored, partial)
-        os.replace(partial, self.path)
+        content = io.BytesIO()
+        torch.save(stored, content)  # not to the file: there torch has its own words for a full disk, and no name
+        write_bytes(self.path, content.getbuffer())
         self.done = done
 
     def load(self) -> int:

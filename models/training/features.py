@@ -1,6 +1,5 @@
 """Features of a whole data set, kept in a file for the trainings that need them."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ from tqdm import tqdm
 
 from models.data.demonstrations import content_of, iterate_frames, read_demonstrations
 from models.errors import InputError
+from models.files.container import whole_file
 
 
 def encode_dataset(path: Path, encoder: Any, cache: Path) -> dict[str, np.ndarray]:
@@ -31,8 +31,6 @@ def encode_dataset(path: Path, encoder: Any, cache: Path) -> dict[str, np.ndarra
             ) from error
     frames = tqdm(iterate_frames(path, names), total=len(names), desc="encoding", unit="demonstration", disable=None)
     features = {name: encoder.encode_batch(rgb) for name, rgb in zip(names, frames, strict=True)}
-    cache.parent.mkdir(parents=True, exist_ok=True)
-    partial = cache.with_name(f"{cache.stem}.{os.getpid()}.npz")  # other trainings may write the same file
-    np.savez(partial, allow_pickle=False, key=np.array(key), **features)
-    os.replace(partial, cache)
+    with whole_file(cache) as partial, partial.open("wb") as file:  # other trainings may write the same file
+        np.savez(file, allow_pickle=False, key=np.array(key), **features)
     return features

@@ -8,6 +8,7 @@ import numpy as np
 
 from models.data.demonstrations import iterate_frames, read_demonstrations
 from models.errors import InputError
+from models.files.container import write_text
 from models.inference import Encoder
 
 
@@ -76,7 +77,7 @@ def run_probe(options: ProbeOptions) -> None:
         "positions": float(len(error) // options.ticks),
     }
     if options.json is not None:
-        options.json.write_text(json.dumps(result, indent=2) + "\n")
+        write_text(options.json, json.dumps(result, indent=2) + "\n")
     print(
         f"can at held-out positions: median {result['median_mm']:.1f} mm, p95 {result['p95_mm']:.1f} mm, "
         f"largest {result['max_mm']:.1f} mm; vacant spot {100 * result['vacant_accuracy']:.1f} % right; "

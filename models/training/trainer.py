@@ -6,10 +6,8 @@ A plain loop, no Lightning: it is shorter than what bent its Trainer to batches 
 import csv
 import ctypes
 import math
-import signal
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import os
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,8 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from models.errors import InputError
+from models.files.container import locked, naming
+from models.interrupts import asked, held, leave_if_asked
 from models.training.checkpoint import Checkpoint
 
 # Options that name places and this machine: they are not written into weight files.
@@ -134,8 +134,19 @@ def fit(
     Raises:
         InputError: the checkpoint is damaged or of another training; the loss or a weight is not finite; there is no
             such device.
-        SystemExit: 143 after SIGTERM, with a checkpoint of the last whole update.
+        Interrupted: after Ctrl-C or SIGTERM, with a checkpoint of the last whole update.
     """
+    with locked(options.out / f"{name}.lock"):
+        try:
+            _fit(training, options, made_from, name, clip, log_every)
+        except (KeyboardInterrupt, OSError) as end:
+            kept = options.out / f"{name}.ckpt"
+            if kept.exists():
+                end.add_note(f"{kept} keeps what was done: the same command goes on")
+            raise
+
+
+def _fit(training: Training, options: Any, made_from: dict[str, str], name: str, clip: float, log_every: int) -> None:
     device = device_of(options)
     try:
         training.train().to(device)
@@ -152,7 +163,7 @@ def fit(
     if start == steps:
         print(f"{checkpoint.path}: all {start} updates are done")
     bar = tqdm(range(start, steps), initial=start, total=steps, disable=None)
-    with _termination() as terminated:
+    with held():
         for step in bar:
             optimizer.param_groups[0]["lr"] = training.rate(step)
             loss, figures = training.loss(training.make_batch(step), step)
@@ -172,27 +183,15 @@ def fit(
                 _add_row(validation_log, {"update": done} | valid)
                 bar.write(f"update {done}: " + ", ".join(f"{key} {value:.4f}" for key, value in valid.items()))
             due = done % options.checkpoint_every == 0 or done == steps
-            if due or terminated:
+            if due or asked():
                 checkpoint.save(done, export=due)
-            if terminated and done < steps:
+            if asked() and done < steps:
                 bar.close()
-                print(f"terminated after update {done} of {steps}: the same command goes on", file=sys.stderr)
-                raise SystemExit(143)
-
-
-@contextmanager
-def _termination() -> Iterator[list[int]]:
-    """A list that is no longer empty once the process was asked to end (SIGTERM)."""
-    received: list[int] = []
-    before = signal.signal(signal.SIGTERM, lambda number, _: received.append(number))
-    try:
-        yield received
-    finally:
-        signal.signal(signal.SIGTERM, before)
+                leave_if_asked()
 
 
 def _add_row(path: Path, row: dict[str, Any]) -> None:
-    with path.open("a", newline="") as file:
+    with naming(path), path.open("a", newline="") as file:
         writer = csv.DictWriter(file, row)
         if not file.tell():
             writer.writeheader()
@@ -200,11 +199,13 @@ def _add_row(path: Path, row: dict[str, Any]) -> None:
 
 
 def _drop_rows(path: Path, done: int) -> None:
-    """Drops the rows of updates beyond `done`, which come once more, and a row that was cut off."""
-    if path.exists():
-        header, *rows = path.read_text().splitlines(keepends=True) or [""]
-        kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= done]
-        path.write_text("".join([header, *kept]) if kept else "")
+    """Drops the rows of updates beyond `done`, which come once more, and a row that was cut off: the last ones."""
+    if not path.exists():
+        return
+    header, *rows = path.read_bytes().splitlines(keepends=True) or [b""]
+    kept = [row for row in rows if row.endswith(b"\n") and int(row.split(b",")[0]) <= done]
+    with naming(path):
+        os.truncate(path, sum(map(len, (header, *kept))) if kept else 0)
 
 
 def prepare(options: TrainingOptions) -> None:

@@ -1,5 +1,8 @@
 """How programs end: exit code 2 and one line for bad input, whatever it is."""
 
+import errno
+import os
+import shlex
 import subprocess
 import sys
 
@@ -98,3 +101,63 @@ def test_a_file_that_can_be_written_is_left_as_it_is(tmp_path):
     for path in (tmp_path, there / "below.json"):
         with pytest.raises(InputError, match="cannot be written"):
             require_writable(path)
+
+
+def program(text, shell="{}"):
+    """How a program ends whose `main` is `text`, in a shell."""
+    code = f"from models.command_line import run\ndef main(_):\n    {text}\n    return 0\nrun(main, lambda: None)"
+    command = shell.format(f"{shlex.quote(sys.executable)} -c {shlex.quote(code)}")
+    surroundings = os.environ | {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    return subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, cwd=ROOT, check=False, env=surroundings
+    )  # fmt: skip
+
+
+def test_a_terminal_without_the_character_shows_another():
+    ended = program("print('98.0 \\xb1 0.8')")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "98.0 ? 0.8\n", "")
+
+
+def test_closed_streams_are_no_file_of_the_user(tmp_path):
+    text = f"import sys; file = open({str(tmp_path / 'x')!r}, 'w'); print(file.fileno(), file=file); print('lost')"
+    ended = program(text + "; print('lost too', file=sys.stderr)", "{} >&- 2>&-")
+    assert ended.returncode == 0
+    assert int((tmp_path / "x").read_text()) > 2
+
+
+def test_an_output_that_is_full_is_said():
+    ended = program("print('words')", "{} > /dev/full")
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: the output: No space left on device: make room there")
+    assert ended.stderr.count("\n") == 1
+
+
+def test_standard_error_without_a_reader_ends_quietly():
+    ended = program("import sys; [print('x' * 1000, file=sys.stderr) for _ in range(1000)]", "{} 2>&1 | head -c 10")
+    assert (ended.stdout, ended.stderr) == ("x" * 10, "")
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [(errno.ENOSPC, "make room there"), (errno.EROFS, "make it writable"), (errno.EFBIG, "ulimit -f"),
+     (errno.EMFILE, "ulimit -n")],
+)  # fmt: skip
+def test_what_the_machine_refuses_is_one_line(capsys, number, words):
+    error = OSError(number, "whatever", "a/file")
+    error.add_note("rows.jsonl keeps 3 rows")
+    assert end_of(raiser(error)) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: a/file: {os.strerror(number)}: ")
+    assert words in said
+    assert said.endswith("; rows.jsonl keeps 3 rows\n")
+    assert said.count("\n") == 1
+
+
+def test_an_error_of_the_system_that_no_user_can_mend_is_a_bug():
+    with pytest.raises(ConnectionRefusedError):
+        run(raiser(ConnectionRefusedError(errno.ECONNREFUSED, "no")), lambda: None)
+
+
+def test_too_little_memory_is_one_line(capsys):
+    assert end_of(raiser(MemoryError())) == 2
+    assert capsys.readouterr().err.startswith("error: there is not enough memory: free some")

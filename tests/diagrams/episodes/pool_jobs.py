@@ -51,3 +51,9 @@ def process_and_count(job):
 def write_pid_and_sleep(path):
     Path(path).write_text(str(os.getpid()))
     time.sleep(60)
+
+
+def slow_after_two(job):
+    if job >= 2:
+        time.sleep(200)
+    return job

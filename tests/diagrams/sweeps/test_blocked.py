@@ -3,6 +3,7 @@
 import pytest
 
 from diagrams.episodes.sampling import episode_seeds
+from diagrams.episodes.store import RowStore
 from diagrams.sweeps import blocked as blocked_module
 from diagrams.sweeps.blocked import blocked_seeds
 from models.errors import InputError
@@ -11,8 +12,18 @@ COUNT = 3
 
 
 @pytest.fixture(scope="module")
-def first(world):
-    return blocked_seeds(world, "validation", 9, COUNT, "B", 0)
+def kept(tmp_path_factory):
+    return tmp_path_factory.mktemp("blocked") / "blocked.jsonl"
+
+
+@pytest.fixture(scope="module")
+def first(world, kept):
+    return found(world, kept)
+
+
+def found(world, kept, count=COUNT, kind="B", workers=0):
+    with RowStore(kept, {}) as store:
+        return blocked_seeds(world, "validation", 9, count, kind, workers, store)
 
 
 def test_they_are_the_first_of_their_seed(sampler, first):
@@ -21,17 +32,22 @@ def test_they_are_the_first_of_their_seed(sampler, first):
     assert [seed for seed in looked_at if sampler.sample(seed, "B").way_home_clear is False] == first
 
 
-def test_more_workers_find_the_same(world, first):
-    assert blocked_seeds(world, "validation", 9, COUNT, "B", 2) == first
+def test_more_workers_find_the_same(world, first, tmp_path):
+    assert found(world, tmp_path / "other.jsonl", workers=2) == first
+
+
+def test_what_was_looked_at_is_not_looked_at_again(world, first, kept, monkeypatch):
+    monkeypatch.setattr(blocked_module, "EpisodeSampler", None)
+    assert found(world, kept, workers=0) == first
 
 
 @pytest.mark.parametrize("kind", ["none", "moved"])
-def test_a_kind_that_does_not_take_the_arm_is_refused(world, kind):
+def test_a_kind_that_does_not_take_the_arm_is_refused(world, kind, tmp_path):
     with pytest.raises(InputError, match=f"'{kind}' there is no way home .* choose A or B"):
-        blocked_seeds(world, "validation", 9, 1, kind, 0)
+        found(world, tmp_path / "kept.jsonl", 1, kind)
 
 
-def test_more_than_there_are_is_refused(world, monkeypatch):
+def test_more_than_there_are_is_refused(world, monkeypatch, tmp_path):
     monkeypatch.setattr(blocked_module, "SEEDS_APART", 40)
     with pytest.raises(InputError, match=r"of the 40 episodes of validation seed 9, \d+ have .* at most \d+ of them"):
-        blocked_seeds(world, "validation", 9, 30, "B", 0)
+        found(world, tmp_path / "kept.jsonl", 30)

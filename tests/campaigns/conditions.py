@@ -1,0 +1,145 @@
+"""What the machine may be like: each condition is put upon the process that a program runs in, or upon its folder."""
+
+import ctypes
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+CLONE_NEWNS, PR_CAPBSET_DROP, CAPABILITIES_3 = 0x00020000, 24, 0x20080522
+OVERRIDES = (1 << 1) | (1 << 2) | (1 << 3)  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH, CAP_FOWNER
+PAGE = 4096
+
+
+@dataclass(frozen=True)
+class Condition:
+    """`on`: in the process, before the program. `before`, `after`: of the folder `out`, around it; `before` is given
+    the largest file and the sum of all that the program leaves undisturbed, bytes. `executed`: in a Python of its own,
+    with `surroundings`. `may`: exit codes beside that of an undisturbed run.
+    """
+
+    on: Callable[[int, np.random.Generator], None] = lambda largest, rng: None
+    before: Callable[[Path, int, np.random.Generator], None] = lambda out, size, rng: None
+    after: Callable[[Path], None] = lambda out: None
+    executed: bool = False
+    surroundings: tuple[tuple[str, str], ...] = ()
+    without: tuple[str, ...] = ()  # surroundings that are not there
+    shell: str = "{}"  # around the command
+    may: tuple[int, ...] = (2,)
+    targets: tuple[str, ...] = ("sweep", "teach", "rnn", "calibrate", "return", "pick_place")
+    same: bool = True  # what it leaves is what an undisturbed run leaves
+    folder: str = "out"  # name of the folder `out`
+    needs_mounts: bool = False
+
+
+def own_mounts() -> bool:
+    """Gives this process mounts of its own; whether that is allowed."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.unshare(CLONE_NEWNS) != 0:
+        return False
+    return subprocess.run(["mount", "--make-rprivate", "/"], capture_output=True, check=False).returncode == 0
+
+
+def _mount(*words: object) -> None:
+    subprocess.run(["mount", *map(str, words)], check=True, capture_output=True)
+
+
+def _fill(out: Path, size: int, rng: np.random.Generator) -> None:
+    """A disk with a random part of the room that is needed."""
+    out.mkdir(parents=True)
+    _mount("-t", "tmpfs", "-o", f"size={PAGE * (1 + rng.integers(max(size // PAGE, 1)))}", "none", out)
+
+
+def _read_only(out: Path, size: int, rng: np.random.Generator) -> None:
+    out.mkdir(parents=True)
+    _mount("--bind", out, out)
+    _mount("-o", "remount,ro,bind", out)
+
+
+def _of_another(out: Path, size: int, rng: np.random.Generator) -> None:
+    out.mkdir(parents=True)
+    os.chown(out, 65534, 65534)
+
+
+def _no_overriding(largest: int, rng: np.random.Generator) -> None:
+    """Root's right to write in anybody's folder is given up."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    for bit in (1, 2, 3):
+        libc.prctl(PR_CAPBSET_DROP, bit, 0, 0, 0)
+    header = (ctypes.c_uint32 * 2)(CAPABILITIES_3, 0)
+    data = (ctypes.c_uint32 * 6)()
+    libc.capget(header, data)
+    for place in (0, 1, 2):
+        data[place] &= ~OVERRIDES
+    if libc.capset(header, data) != 0:
+        raise OSError(ctypes.get_errno(), "capset")
+
+
+def _file_size(largest: int, rng: np.random.Generator) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(rng.integers(1, largest)),) * 2)
+
+
+def _open_files(largest: int, rng: np.random.Generator) -> None:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
+
+
+def _memory(largest: int, rng: np.random.Generator) -> None:
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * PAGE + int(rng.integers(8, 256)) * 2**20,) * 2)
+
+
+def _clock_back(largest: int, rng: np.random.Generator) -> None:
+    now = time.time
+    time.time = lambda: now() - 86400.0
+
+
+def _no_locks(largest: int, rng: np.random.Generator) -> None:
+    """Read-only shared memory."""
+    own_mounts()
+    _mount("-o", "remount,ro,bind", "/dev/shm")
+
+
+def _elsewhere(largest: int, rng: np.random.Generator) -> None:
+    os.chdir("/")
+
+
+ASCII = (("LC_ALL", "C"), ("LANG", "C"), ("PYTHONUTF8", "0"), ("PYTHONCOERCECLOCALE", "0"))
+OUT_OF_ROOM = ("teach", "teach-lerobot", "cae", "rnn", "recall", "calibrate", "baselines", "sweep", "sweep-blocked",
+               "falsify", "return", "resume", "defeat", "pick_place")  # fmt: skip
+CONDITIONS = {
+    "full disk": Condition(before=_fill, after=lambda out: _mount("-o", "remount,size=500m", out),
+                           targets=OUT_OF_ROOM, needs_mounts=True),
+    "file size": Condition(on=_file_size, targets=OUT_OF_ROOM),
+    "read-only": Condition(before=_read_only, after=lambda out: _mount("-o", "remount,rw,bind", out),
+                           targets=OUT_OF_ROOM, needs_mounts=True),
+    "another's folder": Condition(before=_of_another, on=_no_overriding),
+    "read-only /dev/shm": Condition(on=_no_locks, targets=("sweep", "teach", "return"), needs_mounts=True),
+    "open files": Condition(on=_open_files),
+    "memory": Condition(on=_memory, targets=("cae", "rnn", "recall")),
+    "clock back": Condition(on=_clock_back),
+    "other folder": Condition(on=_elsewhere),
+    "name": Condition(folder="eine Größe, 木の棚"),
+    "no HOME": Condition(executed=True, without=("HOME",)),
+    "no TMPDIR": Condition(executed=True, surroundings=(("TMPDIR", "/nowhere"),)),
+    "LANG=C": Condition(executed=True, surroundings=ASCII, folder="eine Größe"),
+    "closed streams": Condition(executed=True, shell="{} >&- 2>&-"),
+    "full output": Condition(executed=True, shell="{} > /dev/full"),
+    "pipe": Condition(executed=True, shell="set -o pipefail; {} | head -n 1", may=(141,)),
+    "64 threads": Condition(executed=True, surroundings=(("OMP_NUM_THREADS", "64"),), same=False, may=()),
+    "no EGL": Condition(executed=True, surroundings=(("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere.json"),),
+                        targets=("pick_place",)),
+    "no Graphviz": Condition(executed=True, surroundings=(("PATH", "/nowhere"),), targets=("pick_place",), same=False),
+}  # fmt: skip
+
+
+def command(name: str, given: Path, out: Path, where: Path | None = None) -> list[str]:
+    """That runs a target in a Python of its own."""
+    code = "import sys; from pathlib import Path; from tests.campaigns.targets import TARGETS; "
+    code += f"TARGETS[{name!r}].run(Path({str(given)!r}), Path({str(out)!r}))"
+    return [sys.executable, "-c", code]

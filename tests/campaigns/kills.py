@@ -1,0 +1,236 @@
+"""Kills the programs at random moments, and starts them again.
+
+    python tests/campaigns/kills.py --seed 0 --count 20
+
+Each program of tests/campaigns/targets.py runs in its smallest size, its simulations replaced by what fakes.py makes
+up. It is killed (kill -9 of all its processes), its driver alone, one of its workers, or it is told to end (SIGINT to
+all of them, as Ctrl-C does at a terminal; SIGTERM to the driver), at a moment drawn evenly from the time that it takes,
+and then started again. Answered well: what it leaves is what an undisturbed run leaves; what was finished on the disk
+is not done again; and for SIGINT and SIGTERM one line that says how to go on, exit code 130 or 143, and no process left
+after --patience seconds.
+"""
+
+import functools
+import json
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+import numpy as np
+import tyro
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from diagrams.episodes.store import RowStore  # noqa: E402
+from models.command_line import run as run_program  # noqa: E402
+from models.interrupts import ENDED  # noqa: E402
+from tests.campaigns import fakes  # noqa: E402
+from tests.campaigns.processes import Ended, Forked, run, until  # noqa: E402
+from tests.campaigns.targets import TARGETS, prepare  # noqa: E402
+
+ENDS = {"int": (signal.SIGINT, 130), "term": (signal.SIGTERM, 143)}
+HOWS = "kill", "driver", "worker", *ENDS
+MODULES = (
+    "diagrams.analysis", "diagrams.baselines", "diagrams.calibrate", "diagrams.pick_place", "diagrams.sweep",
+    "diagrams.teach",
+    "diagrams.drawing.falsification", "diagrams.drawing.return_certificate", "diagrams.drawing.resumption",
+    "diagrams.drawing.defeat", "diagrams.sweeps.summary", "diagrams.sweeps.table", "models.data.lerobot",
+    "models.training.cae", "models.training.recall", "tests.diagrams.untrained", "pandas", "optuna", "cmaes", "h5py",
+)  # fmt: skip
+
+
+@dataclass
+class KillsArguments:
+    """Command line of kills.py."""
+
+    seed: int = 0  # of the moments
+    count: int = 20  # kills a program; with each signal a quarter as many
+    targets: list[str] = field(default_factory=lambda: [name for name in TARGETS if name != "pick_place"])
+    hows: list[str] = field(default_factory=lambda: list(HOWS))
+    out: Path | None = None  # folder of kills.jsonl: started again, the campaign goes on
+    patience: float = 5.0  # s, in which all processes have to be gone
+    workers: int = len(os.sched_getaffinity(0))  # programs at a time
+
+
+class Campaign:
+    """The cases, over a folder of inputs and one undisturbed run of each program."""
+
+    def __init__(self, arguments: Any, folder: Path):
+        self.arguments, self.folder, self.given = arguments, folder, folder / "given"
+
+    def prepare(self) -> None:
+        """Makes the inputs."""
+        ended = run(lambda: prepare(self.given), self.folder / "preparing")
+        if ended.code != 0:
+            raise RuntimeError(f"the inputs cannot be made: {ended.err}")
+
+    def undisturbed(self, name: str) -> dict[str, Any]:
+        """What the program leaves, its notes, and how long it takes."""
+        out = self.folder / name / "undisturbed"
+        ended = self._whole(name, out)
+        if ended.code != TARGETS[name].code:
+            raise RuntimeError(f"{name}, undisturbed: exit code {ended.code}: {ended.err or ended.out}")
+        sizes = [path.stat().st_size for path in out.rglob("*") if path.is_file()]
+        return {
+            "left": self._left(name, out), "notes": self._notes(out), "seconds": ended.seconds, "code": ended.code,
+            "sum": sum(sizes), "largest": max(sizes),
+        }  # fmt: skip
+
+    def case(self, name: str, how: str, number: int, whole: dict[str, Any]) -> str | None:
+        """What was wrong in one case; None: nothing."""
+        target, arguments = TARGETS[name], self.arguments
+        out = self.folder / name / f"{how}-{number}"
+        seed = [arguments.seed, list(TARGETS).index(name), HOWS.index(how), number]
+        moment = np.random.default_rng(seed).uniform(0.0, whole["seconds"])
+        process = Forked(functools.partial(target.run, self.given, out), self._said(out), self._surroundings(out))
+        until(process.poll, moment)
+        wrong = self._strike(process, how)
+        kept = self._in_process(out, lambda: target.kept(out))
+        if isinstance(kept, str):
+            return f"what is finished cannot be read after the kill: {kept}"
+        before = len(self._notes(out))
+        if how == "worker" and process.code == 0:
+            again = before  # nothing was started again
+        else:
+            ended = self._whole(name, out)
+            again = len(self._notes(out)) - before
+            if ended.code != target.code:
+                return f"started again: exit code {ended.code}: {ended.err[-600:] or ended.out[-600:]}"
+        if self._left(name, out) != whole["left"]:
+            wrong = wrong or f"it leaves something else: see {out}"
+        if how != "worker" and again > len(whole["notes"]) - kept:
+            wrong = wrong or f"{kept} of {len(whole['notes'])} were finished, {again} were run after that"
+        if wrong is None:
+            shutil.rmtree(out)
+        return wrong
+
+    def _strike(self, process: Forked, how: str) -> str | None:
+        """Kills the process in the way `how`, unless it has ended; what was wrong with its end."""
+        patience = self.arguments.patience
+        if how == "kill":
+            process.kill()
+        elif how == "driver" and not process.poll():
+            os.kill(process.pid, signal.SIGKILL)
+        elif how == "worker":
+            for pid in process.workers()[:1]:
+                os.kill(pid, signal.SIGKILL)
+            if not process.wait(600.0):
+                return "it does not end"
+            return None if process.code == 0 else f"exit code {process.code}: {process.ended().err[-600:]}"
+        elif how in ENDS and not process.poll():
+            (os.killpg if how == "int" else os.kill)(process.pid, ENDS[how][0])
+        ended_in_time = process.wait(patience)
+        gone = until(lambda: not process.members(), patience)
+        left = process.members()
+        process.kill()
+        if not ended_in_time:
+            process.wait(10.0)
+            return f"it does not end within {patience} s"
+        if not gone:
+            return f"{len(left)} processes are left after {patience} s"
+        return _signalled(process.ended(), ENDS[how][1]) if how in ENDS else None
+
+    def _whole(self, name: str, out: Path) -> Ended:
+        return run(functools.partial(TARGETS[name].run, self.given, out), self._said(out), self._surroundings(out))
+
+    def _left(self, name: str, out: Path) -> Any:
+        return self._in_process(out, lambda: TARGETS[name].files(out))
+
+    def _in_process(self, out: Path, made: Callable[[], Any]) -> Any:
+        """What `made` gives, in a process of its own: libraries with threads would not survive a fork; else words."""
+        answer = out.with_name(f"{out.name}.answer")
+        ended = run(lambda: answer.write_text(json.dumps(made())) and None, self._said(out).with_name("answer"))
+        return json.loads(answer.read_text()) if ended.code == 0 else ended.err[-600:]
+
+    def _said(self, out: Path) -> Path:
+        return out.parent / f"{out.name}.said" / "program"
+
+    def _surroundings(self, out: Path) -> dict[str, str]:
+        return {fakes.NOTES: str(out.with_name(f"{out.name}.notes")), "PYTHONPATH": str(ROOT)}
+
+    def _notes(self, out: Path) -> list[str]:
+        path = out.with_name(f"{out.name}.notes")
+        return path.read_text().splitlines() if path.exists() else []
+
+
+def _signalled(ended: Ended, code: int) -> str | None:
+    """What is wrong with the end of a program that was told to; one that had ended before is fine."""
+    if ended.code == 0:
+        return None
+    if ended.code != code:
+        return f"exit code {ended.code}, not {code}: {ended.err[-600:]}"
+    lines = ended.err.splitlines()
+    if len(lines) != 1 or not lines[0].startswith(ENDED) or not ("goes on" in lines[0] or "again" in lines[0]):
+        return f"not one line that says how to go on: {ended.err[-600:]}"
+    return None
+
+
+def load() -> None:
+    """Imports what the programs need, once for all of them."""
+    import importlib
+
+    for module in MODULES:
+        importlib.import_module(module)
+
+
+def main(arguments: KillsArguments) -> int:
+    """Runs what is not in the log yet; returns 0 if all was well, else 1."""
+    load()
+    folder = Path(tempfile.mkdtemp())  # no TemporaryDirectory: a forked process would remove it at its end
+    try:
+        path = (arguments.out or folder) / "kills.jsonl"
+        with RowStore(path, {"campaign": "kills", "seed": arguments.seed}) as store:
+            return _run(arguments, folder, store)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _run(arguments: KillsArguments, folder: Path, store: RowStore) -> int:
+    from tqdm import tqdm
+
+    campaign = Campaign(arguments, folder)
+    campaign.prepare()
+    cases = [
+        (name, how, number)
+        for name in arguments.targets
+        for how in arguments.hows
+        if how not in ("driver", "worker") or TARGETS[name].workers
+        for number in range(arguments.count if how == "kill" else -(-arguments.count // 4))
+    ]
+    missing = [case for case in cases if _key(case) not in store.rows]
+
+    def one(case: tuple[str, str, int]) -> str | None:
+        return campaign.case(*case, wholes[case[0]])
+
+    wholes: dict[str, dict[str, Any]] = {}
+    with ThreadPoolExecutor(arguments.workers) as threads, tqdm(total=len(cases), disable=None) as bar:
+        bar.update(len(cases) - len(missing))
+        for name in dict.fromkeys(name for name, _, _ in missing):
+            wholes[name] = campaign.undisturbed(name)
+            mine = [case for case in missing if case[0] == name]
+            for case, wrong in zip(mine, threads.map(one, mine), strict=True):
+                store.add(_key(case), {"wrong": wrong})
+                bar.update()
+                if wrong:
+                    tqdm.write(f"{_key(case)}: {wrong}", file=sys.stderr)
+    well = sum(store.rows[_key(case)]["wrong"] is None for case in cases)
+    print(f"{well} of {len(cases)} answered well")
+    return 0 if well == len(cases) else 1
+
+
+def _key(case: tuple[str, str, int]) -> str:
+    return "-".join(map(str, case))
+
+
+if __name__ == "__main__":
+    run_program(main, functools.partial(tyro.cli, KillsArguments, description=__doc__))

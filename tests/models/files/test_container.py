@@ -1,0 +1,61 @@
+"""How files are written: whole or not at all; a lock that is the block's alone."""
+
+import errno
+import os
+import subprocess
+import sys
+
+import pytest
+
+from models.command_line import ROOT
+from models.errors import InputError
+from models.files.container import locked, naming, whole_file, write_bytes, write_text
+
+
+def write_half(path, error):
+    with whole_file(path) as partial:
+        partial.write_bytes(b"half")
+        assert (partial.parent, partial.suffix) == (path.parent, ".png")
+        raise error
+
+
+def test_a_file_is_whole_or_as_it_was(tmp_path):
+    path = tmp_path / "folder" / "file.png"
+    write_bytes(path, b"before")
+    with pytest.raises(OSError, match="No space left") as refused:
+        write_half(path, OSError(errno.ENOSPC, "No space left"))
+    assert refused.value.filename == str(path)
+    assert path.read_bytes() == b"before"
+    with pytest.raises(KeyboardInterrupt):
+        write_half(path, KeyboardInterrupt())
+    assert [*path.parent.iterdir()] == [path]
+    write_text(path, "9 ± 1")
+    assert path.read_bytes() == b"9 \xc2\xb1 1"
+
+
+def test_errors_without_a_path_stay_so(tmp_path):
+    with pytest.raises(OSError, match="open files") as refused, naming(tmp_path):
+        raise OSError(errno.EMFILE, "too many open files")
+    assert refused.value.filename is None
+
+
+def test_a_lock_is_the_blocks_alone(tmp_path):
+    path = tmp_path / "out" / "x.lock"
+    with locked(path), pytest.raises(InputError, match=r"out is in use by another program: wait .* another --out"):
+        locked(path).__enter__()
+    assert not path.exists()
+    with locked(path):
+        assert path.exists()
+
+
+def test_the_kernel_lets_go_of_a_killed_programs_lock(tmp_path):
+    path = tmp_path / "x.lock"
+    code = (
+        "import os, signal\nfrom pathlib import Path\nfrom models.files.container import locked\n"
+        f"with locked(Path({str(path)!r})):\n    os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=os.environ, check=False)
+    assert path.exists()
+    with locked(path):
+        pass
+    assert not path.exists()

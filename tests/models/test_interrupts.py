@@ -1,0 +1,108 @@
+"""Programs that are told to end: one line, the exit code, and what was finished is kept."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from models import interrupts
+from models.command_line import ROOT
+from models.interrupts import Interrupted, held, leave_if_asked, listening
+
+PROGRAM = """
+import sys, time
+from pathlib import Path
+from diagrams.episodes.pool import Pool
+from diagrams.episodes.store import RowStore
+from models.command_line import run
+from tests.diagrams.episodes import pool_jobs
+
+def main(_):
+    with RowStore(Path(sys.argv[1]), {}) as store, Pool(int(sys.argv[2])) as pool:
+        for job, row in pool.run(pool_jobs.slow_after_two, range(50)):
+            store.add(str(job), row)
+    return 0
+
+if __name__ == "__main__":
+    run(main, lambda: None)
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_program_with_workers_ends_in_one_line_and_keeps_its_rows(tmp_path, number, code):
+    script, rows = tmp_path / "program.py", tmp_path / "rows.jsonl"
+    script.write_text(PROGRAM)
+    surroundings = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(script), str(rows), "2"]
+    program = subprocess.Popen(
+        command, env=surroundings, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    end = time.monotonic() + 100
+    while not rows.exists() or rows.read_bytes().count(b"\n") < 3:
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    os.killpg(program.pid, number)  # as Ctrl-C does at a terminal: workers too
+    out, err = program.communicate(timeout=50)  # the jobs under way take minutes
+    assert (program.returncode, out) == (code, "")
+    assert err == f"interrupted: {rows} keeps what was finished, 2 rows: the same command goes on\n"
+    while group_lives(program.pid):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def group_lives(group):
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def asked_twice(done):
+    """Within two blocks, the inner one ended; then again."""
+    with held():
+        with held():
+            signal.raise_signal(signal.SIGTERM)
+            done.append(interrupts.asked())
+        done.append("not raised yet")
+        if len(done) > 2:
+            signal.raise_signal(signal.SIGINT)
+            done.append("not reached")
+
+
+def test_a_request_is_held_back_till_the_end_of_the_block_and_a_second_one_is_not():
+    done = []
+    with listening():
+        with pytest.raises(Interrupted) as ended:
+            asked_twice(done)
+        assert (ended.value.number, done) == (signal.SIGTERM, [True, "not raised yet"])
+    with listening():
+        with pytest.raises(Interrupted) as ended:
+            asked_twice(done)
+        assert (ended.value.number, len(done)) == (signal.SIGINT, 4)
+    assert not interrupts.asked()
+    assert signal.getsignal(signal.SIGINT) is not interrupts._note
+    leave_if_asked()
+
+
+def test_what_is_ignored_stays_ignored():
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with listening():
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_an_error_is_not_replaced_by_a_request_that_came_with_it():
+    with listening(), pytest.raises(ValueError, match="first"):
+        fail_when_asked()
+
+
+def fail_when_asked():
+    with held():
+        signal.raise_signal(signal.SIGINT)
+        raise ValueError("first")
