@@ -1,7 +1,10 @@
 """How every program begins and ends: arguments in, exit code out; bad input is one clear line and exit code 2."""
 
+import contextlib
 import importlib.util
+import io
 import os
+import re
 import select
 import sys
 import tempfile
@@ -20,6 +23,7 @@ EXTRAS = {
     "analysis": ("cmaes", "optuna"),
     "live": ("bokeh", "tornado"),
 }
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
 ROOT = Path(__file__).resolve().parents[1]  # of the checkout
 
 
@@ -27,7 +31,7 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     """Ends the process with the exit code of `main(arguments())`; 2, after one line on stderr, for an InputError."""
     try:
         require_checkout()
-        code = main(arguments())
+        code = main(_parsed(arguments))
     except SystemExit as end:  # --help, and the parser's own errors
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
     except InputError as error:
@@ -50,6 +54,23 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     except BrokenPipeError:  # whoever read it has had enough: what is left goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
+
+
+def _parsed(arguments: Callable[[], Any]) -> Any:
+    """`arguments()`; what the parser says in a frame of several lines becomes one."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            parsed = arguments()
+    except SystemExit as end:
+        if end.code != 2:
+            raise
+        lines = [_COLOUR.sub("", line).strip("│ ") for line in said.getvalue().splitlines()]
+        words = " ".join(";" if line.startswith("─") else line for line in lines if line[:1] not in ("╭", "╰"))
+        raise InputError(words.replace(" ;", ";") or "the arguments do not fit: see --help") from None
+    if sys.stderr is not None:  # closed by whoever started the program
+        sys.stderr.write(said.getvalue())
+    return parsed
 
 
 def _reader_gone() -> bool:
