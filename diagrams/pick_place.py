@@ -23,6 +23,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world
+from models.checks import require_apart, require_one_of
 from models.command_line import require, require_writable, run
 from models.errors import InputError
 from models.files.container import partial_of, write_text
@@ -61,6 +62,7 @@ class PickPlaceArguments(Scenario):
 def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
     """Command line over scenario file over world file over defaults."""
     cli = tyro.cli(PickPlaceArguments, args=arguments, description=__doc__)
+    require_one_of(arguments, "--rnn", "--policy")
     if cli.scenario is not None or cli.world_file is not None:
         world = load_world(cli.world_file)
         loaded = Scenario(world=world) if cli.scenario is None else load_scenario(cli.scenario, world)
@@ -103,14 +105,16 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
     from diagrams.world.requirements import broken
 
     formats = {
-        cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
-        cli.film: FILM_FORMATS, cli.json: (".json",), cli.record: (".npz",), cli.mcap: (".mcap",),
+        "replay": (".html",), "plot": PLOT_FORMATS, "graphviz": GRAPH_FORMATS, "video": (".mp4",),
+        "film": FILM_FORMATS, "json": (".json",), "record": (".npz",), "mcap": (".mcap",),
     }  # fmt: skip
-    written = [path for path in formats if path is not None]
-    for path in written:
-        if path.suffix not in formats[path]:
-            names = ", ".join(formats[path])
-            raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
+    asked = {f"--{name}": path for name in formats if (path := getattr(cli, name)) is not None}
+    require_apart(asked, {"--scenario": cli.scenario, "--world": cli.world_file})
+    written = list(asked.values())
+    for option, path in asked.items():
+        if path.suffix not in formats[option[2:]]:
+            names = ", ".join(formats[option[2:]])
+            raise InputError(f"{option} {path} has no format that can be written: choose a name that ends in {names}")
     if cli.mcap is not None:
         require("foxglove")
     episode = EpisodeSampler(cli.world).episode(cli)

@@ -1,10 +1,12 @@
 """How every program begins and ends: arguments in, exit code out; bad input is one clear line and exit code 2."""
 
+import contextlib
 import errno
 import importlib.util
 import io
 import multiprocessing
 import os
+import re
 import select
 import signal
 import sys
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from models import interrupts
+from models.checks import require_plain
 from models.errors import InputError
 
 # Which extra of pyproject.toml brings a module.
@@ -39,6 +42,7 @@ REMEDIES = {
     errno.ENFILE: "raise the limit of open files (ulimit -n), or take fewer --workers",
     errno.ENOMEM: _MEMORY, errno.EAGAIN: "raise the limit of processes (ulimit -u), or take fewer --workers",
 }  # fmt: skip
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
 ROOT = Path(__file__).resolve().parents[1]  # of the checkout
 
 
@@ -52,7 +56,7 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     with interrupts.listening():
         try:
             require_checkout()
-            code = main(arguments())
+            code = main(_parsed(arguments))
         except SystemExit as end:  # --help, and the parser's own errors
             code = end.code if isinstance(end.code, int) else int(end.code is not None)
         except InputError as error:
@@ -67,7 +71,7 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
                 raise
             code = 128 + signal.SIGPIPE  # as if ended by it: what was to be done is not done
         except OSError as error:
-            if error.errno not in REMEDIES:
+            if error.errno not in REMEDIES and error.filename is None:
                 raise
             code = _bad_input(_of_machine(error))
         except MemoryError as error:
@@ -80,6 +84,23 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
                 worker.kill()  # it is not waited for: what it does is not finished
         code = _flush() or code
     sys.exit(code)
+
+
+def _parsed(arguments: Callable[[], Any]) -> Any:
+    """`arguments()`; what the parser says in a frame of several lines becomes one."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            parsed = arguments()
+    except SystemExit as end:
+        if end.code != 2:
+            raise
+        lines = [_COLOUR.sub("", line).strip("│ ") for line in said.getvalue().splitlines()]
+        words = " ".join(";" if line.startswith("─") else line for line in lines if line[:1] not in ("╭", "╰"))
+        raise InputError(words.replace(" ;", ";") or "the arguments do not fit: see --help") from None
+    if sys.stderr is not None:  # closed by whoever started the program
+        sys.stderr.write(said.getvalue())
+    return parsed
 
 
 def _open_streams() -> None:
@@ -120,9 +141,9 @@ def _reader_gone() -> bool:
 
 def _of_machine(error: OSError) -> str:
     """What the machine refused, in words."""
-    where = "the output" if error.filename is None else error.filename
+    where = "the output" if error.filename is None else f"{str(error.filename)!r:.200}".strip("'")
     number = error.errno or 0
-    return _words(error, f"{where}: {os.strerror(number)}: {REMEDIES[number]}")
+    return _words(error, f"{where}: {os.strerror(number)}: {REMEDIES.get(number, _NAME)}")
 
 
 def _words(error: BaseException, text: str | None = None) -> str:
@@ -153,6 +174,7 @@ def require_checkout() -> None:
 def require_writable(path: Path) -> None:
     """Raises InputError unless the file `path`, which is left as it is, can be written; before work is done for it."""
     try:
+        require_plain(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             path.open("ab").close()

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 from typing import Any, Self
 
+from models.checks import require_plain
 from models.errors import InputError
 from models.files.container import lock, naming
 from models.interrupts import held
@@ -26,6 +27,7 @@ class RowStore:
         """
         self.path, self.rows = path, dict[str, Any]()
         fingerprint = json.loads(json.dumps(fingerprint))
+        require_plain(path, f"choose another {option}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("a+b", buffering=0)
@@ -43,7 +45,9 @@ class RowStore:
         """The rows that are there; a fingerprint where there is none yet."""
         path = self.path
         self._file.seek(0)
-        content = self._file.read()
+        content = self._file.read(len(FIRST))
+        if content == FIRST:  # else it is none of ours, and may be of any size
+            content += self._file.read()
         if not content.startswith(FIRST[: len(content)]):
             raise InputError(f"{path} holds no rows of this program: choose another {option}")
         lines = content.split(b"\n")
@@ -57,7 +61,7 @@ class RowStore:
                     self.rows[entry["key"]] = entry["row"]
             except InputError:
                 raise
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
                 # Without its first line, which says what the rows were made with, none of them is of use.
                 remedy = f"delete that line, or choose another {option}" if number > 1 else f"choose another {option}"
                 raise InputError(f"{path} is damaged in line {number}: {remedy}") from error

@@ -28,12 +28,10 @@ def blocked_seeds(
 ) -> list[int]:
     """The first `count` seeds of `episode_seeds` whose straight way home from a disturbance `kind` touches something.
 
-    `store`: keeps what was looked at. Raises InputError for a kind that does not take the arm, or where fewer are
-    blocked.
+    `store`: keeps what was looked at; `kind`: see `require_takes_arm`. Raises InputError where fewer are blocked.
     """
     from tqdm import tqdm
 
-    require_takes_arm([kind])
     seeds, found = episode_seeds(purpose, seed, SEEDS_APART), list[int]()
     each = BATCH * max(workers, 1)
 

@@ -14,6 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from models.checks import require_plain
 from models.data.demonstrations import SPLITS, Demonstration, hdf5_errors, number_of
 from models.errors import InputError
 from models.files.container import naming, write_bytes
@@ -53,6 +54,7 @@ class RecordingFile(AbstractContextManager):
         text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
         damaged = "if a kill in the middle of a write broke it, delete it"
         with hdf5_errors(path, "written", "choose another --out", damaged):
+            require_plain(path, "choose another --out")
             if not path.exists():
                 begun = io.BytesIO()
                 with h5py.File(begun, "w") as file:
@@ -83,7 +85,14 @@ class RecordingFile(AbstractContextManager):
         return name in self._data
 
     def add(self, recording: Recording) -> None:
-        """Writes one demonstration; it is whole in the file when this returns. An OSError leaves the file whole."""
+        """Writes one demonstration; it is whole in the file when this returns. An OSError leaves the file whole.
+
+        Raises DatasetError as `finish`.
+        """
+        with self._errors():
+            self._add(recording)
+
+    def _add(self, recording: Recording) -> None:
         self._reserve(sum(getattr(recording, name).nbytes for name in _ARRAYS.values()))
         partial = f"partial_{recording.name}"
         if partial in self._file:  # left by a kill in the middle of a write
@@ -100,7 +109,17 @@ class RecordingFile(AbstractContextManager):
         self._file.flush()
 
     def finish(self, names: Sequence[str]) -> tuple[str, list[str]]:
-        """Lists those demonstrations in the mask; returns the content hash, and the names of those that failed."""
+        """Lists those demonstrations in the mask; returns the content hash, and the names of those that failed.
+
+        Raises DatasetError where a demonstration in the file is damaged, or the disk is full.
+        """
+        with self._errors():
+            return self._finish(names)
+
+    def _errors(self) -> AbstractContextManager[None]:
+        return hdf5_errors(self._file.filename, "written", "choose another --out", "delete it, and record it again")
+
+    def _finish(self, names: Sequence[str]) -> tuple[str, list[str]]:
         data = self._data
         self._reserve(0)
         if "mask" in self._file:

@@ -1,5 +1,6 @@
 """Training of the recurrent network (Eq. 2)."""
 
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -13,6 +14,7 @@ from models.data.augmentation import Augmentation
 from models.data.demonstrations import Demonstration, content_of, read_demonstrations, read_header
 from models.data.scaling import MinMaxScaling
 from models.data.sequences import Batch, SequencePack, errors, make_batch, pack_sequences, run
+from models.errors import InputError
 from models.files.container import WeightsError, file_hash
 from models.files.weights import StoredPolicy, load_policy, save_policy
 from models.inference import Encoder
@@ -149,6 +151,15 @@ def prepare_sequences(
     options: Any, demos: list[Demonstration], encoder: Any, scaling: MinMaxScaling, target: str
 ) -> dict[str, SequencePack]:
     """Sequences of each split ("train", "valid"), with room for the rest after their end."""
+    most, shortest = (
+        options.augmentation.carry_ticks,
+        min(np.diff([*d.subtask_starts, len(d.posture)]).min() for d in demos),
+    )
+    if most > shortest:
+        raise InputError(
+            f"--augmentation.carry-ticks {most} is more than the {shortest} ticks of the shortest subtask in "
+            f"{options.data}: choose at most that"
+        )
     features = encode_dataset(options.data, encoder, options.features or options.out / "features.npz")
     return {
         split: pack_sequences(
@@ -158,12 +169,13 @@ def prepare_sequences(
     }
 
 
-def load_start(path: Path, options: RnnOptions, initial: np.ndarray) -> StoredPolicy:
+def load_start(path: Path, options: RnnOptions, initial: np.ndarray, feature_size: int) -> StoredPolicy:
     """The candidate to train further; raises WeightsError where it was made for something else."""
     started = load_policy(path)
     for what, have, want in (
         ("network", started.rnn.spec, options.rnn),
         ("initial posture", started.initial_posture.round(6).tolist(), initial.round(6).tolist()),
+        ("feature size", started.rnn.feature_size, feature_size),
     ):
         if have != want:
             raise WeightsError(path, f"has the {what} {have}, not {want}", "Give a candidate of that one")
@@ -187,8 +199,14 @@ def train_rnn(options: RnnOptions) -> Path:
         train = [demo for demo in demos if demo.split == "train"]
         scaling = posture_scaling(train, options.scaling_margin, options.least_half_range)
     else:
-        started = load_start(options.start_from, options, initial)
+        started = load_start(options.start_from, options, initial, encoder.feature_size)
         made_from["start_from"] = file_hash(options.start_from)
+        if started.encoder_hash != encoder.hash:
+            print(
+                f"warning: {options.start_from} was trained with another encoder than {options.encoder}: it learns to "
+                "read this one's features",
+                file=sys.stderr,
+            )
         ancestor = {"hash": made_from["start_from"], "encoder_hash": started.encoder_hash}
         metadata["started_from"] = ancestor | started.metadata
         scaling = started.scaling

@@ -16,6 +16,7 @@ from diagrams.episodes.switching import GUARD
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT
 from diagrams.world.task import HOME_TOLERANCE, at_home
+from models.errors import InputError
 
 CAN = (0.555, -0.041)
 MARK = (1, 2, 3, 4)  # no colour of a picture, whose alpha is 255
@@ -357,6 +358,12 @@ def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkey
     assert (run.outcome.success, run.outcome.switch_success) == (False, False)
     assert run.outcome.failure == run.outcome.switch_failure == "simulation diverged"
     assert len(run.record.time) == 10
+
+
+def test_a_run_that_diverges_in_its_first_tick_is_refused(rollout, policy, encoder, monkeypatch):
+    monkeypatch.setattr(rollout, "advance", lambda seconds: False)
+    with pytest.raises(InputError, match=r"diverges in its first tick: choose a softer world\.servo"):
+        Run(rollout, policy, encoder, Episode(0, CAN, "left"))
 
 
 def test_no_disturbance_came(rollout, policy, encoder):

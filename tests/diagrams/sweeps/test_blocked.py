@@ -5,7 +5,7 @@ import pytest
 from diagrams.episodes.sampling import episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.sweeps import blocked as blocked_module
-from diagrams.sweeps.blocked import blocked_seeds
+from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
 from models.errors import InputError
 
 COUNT = 3
@@ -42,9 +42,9 @@ def test_what_was_looked_at_is_not_looked_at_again(world, first, kept, monkeypat
 
 
 @pytest.mark.parametrize("kind", ["none", "moved"])
-def test_a_kind_that_does_not_take_the_arm_is_refused(world, kind, tmp_path):
+def test_a_kind_that_does_not_take_the_arm_is_refused(kind):
     with pytest.raises(InputError, match=f"'{kind}' there is no way home .* choose A or B"):
-        found(world, tmp_path / "kept.jsonl", 1, kind)
+        require_takes_arm(["A", kind])
 
 
 def test_more_than_there_are_is_refused(world, monkeypatch, tmp_path):

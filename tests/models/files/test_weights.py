@@ -106,6 +106,7 @@ def test_wrong_kind_missing_tensor_and_not_finite(tmp_path: Path) -> None:
         ({"feature_activation": "sine"}, "does not describe an autoencoder .*sine"),
         ({"feature_activation": []}, "does not describe an autoencoder"),
         ({"metadata": None}, "does not describe an autoencoder .*metadata"),
+        ({"metadata": [5]}, r"does not describe an autoencoder .*metadata is \[5\]"),
     ],
 )
 def test_damaged_header_of_an_autoencoder(tmp_path: Path, change: dict, named: str) -> None:
@@ -133,6 +134,8 @@ def test_damaged_header_of_an_autoencoder(tmp_path: Path, change: dict, named: s
         ({"beta": 10**400}, "too large"),
         ({"mean_errors": [1.0, 0.0, 1.0]}, "mean_errors is .*numbers above 0"),
         ({"gamma": float("nan")}, "gamma is nan"),
+        ({"gamma": -1.0}, "gamma is -1.0: numbers above 0 are needed"),
+        ({"torch": {"rnn": "gru", "posture_size": 8, "feature_size": 30, "recall": None}}, "network 'gru' 'lstm'"),
         ({"initial_posture": [float("inf")] * 8}, "initial_posture is"),
     ],
 )
@@ -179,7 +182,7 @@ def test_a_network_that_cannot_be_exported_is_refused() -> None:
 
 
 def test_a_folder_is_no_weight_file(tmp_path: Path) -> None:
-    with pytest.raises(WeightsError, match="cannot be read"):
+    with pytest.raises(WeightsError, match="is a folder, a pipe or a device"):
         file_hash(tmp_path)
 
 
