@@ -85,14 +85,7 @@ class RecordingFile(AbstractContextManager):
         return name in self._data
 
     def add(self, recording: Recording) -> None:
-        """Writes one demonstration; it is whole in the file when this returns. An OSError leaves the file whole.
-
-        Raises DatasetError as `finish`.
-        """
-        with self._errors():
-            self._add(recording)
-
-    def _add(self, recording: Recording) -> None:
+        """Writes one demonstration; it is whole in the file when this returns. An OSError leaves the file whole."""
         self._reserve(sum(getattr(recording, name).nbytes for name in _ARRAYS.values()))
         partial = f"partial_{recording.name}"
         if partial in self._file:  # left by a kill in the middle of a write
@@ -113,11 +106,8 @@ class RecordingFile(AbstractContextManager):
 
         Raises DatasetError where a demonstration in the file is damaged, or the disk is full.
         """
-        with self._errors():
+        with hdf5_errors(self._path, "written", "choose another --out", "delete it, and record it again"):
             return self._finish(names)
-
-    def _errors(self) -> AbstractContextManager[None]:
-        return hdf5_errors(self._file.filename, "written", "choose another --out", "delete it, and record it again")
 
     def _finish(self, names: Sequence[str]) -> tuple[str, list[str]]:
         data = self._data
