@@ -27,7 +27,7 @@ CAMPAIGNS = tuple(
 PROGRAMS = (
     *(f"diagrams.{path.stem}" for path in ROOT.glob("diagrams/[a-z]*.py")), "models.training.__main__", *CAMPAIGNS,
 )  # fmt: skip
-FOREIGN = {"--measure", "--index-url", "--help"}  # pytest's, pip's, everybody's
+FOREIGN = {"--measure", "--index-url", "--help", "--host", "--no-dashboard"}  # pytest, pip, everybody, Dask
 
 
 def commands(text):
