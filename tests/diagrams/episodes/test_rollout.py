@@ -96,6 +96,7 @@ def test_records_have_a_row_a_tick(undisturbed, policy):
         "posture": (8,), "rnn_step": (8,), "regulator_step": (8,), "desired_posture": (8,), "alpha": (), "active": (),
         "errors": (11,), "hidden_state": (policy.state_size,), "can_poses": (14,),
         "network_input": (8 + policy.feature_size,), "predicted_features": (policy.feature_size,), "time": (),
+        "signals": (7,), "tick_seconds": (),
     }  # fmt: skip
     assert {f.name for f in fields(Record)} == {*shapes, "picture_ticks", "pictures", "events"}
     assert {name: getattr(record, name).shape for name in shapes} == {name: (n, *s) for name, s in shapes.items()}
