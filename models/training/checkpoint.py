@@ -36,6 +36,8 @@ class Checkpoint:
 
     def load(self) -> int:
         """The updates done so far; 0 without a file. A weight file that should be there and is not is written."""
+        for left in self.path.parent.glob(f"{self.path.stem}.*.part{self.path.suffix}"):
+            left.unlink()  # by a kill; large
         if not self.path.exists():
             return 0
         require_plain(self.path, "choose another --out")

@@ -62,7 +62,7 @@ def run_episode(job):
     from dataclasses import replace
 
     made: Record = recorded_run(seed=episode.seed % 1000)
-    made.errors[:, 0] = 1.0 + 0.01 * np.sum(episode.disturbance.target or [episode.disturbance.level])
+    made.errors[:, 0] = 1.0 + 0.01 * np.sum(episode.disturbance.target or [episode.disturbance.level or 0.0])
     made.can_poses[:, [0, 7]] = 1.0
     taken = episode.disturbance.kind != "none"
     return replace(

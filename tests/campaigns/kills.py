@@ -11,6 +11,7 @@ after --patience seconds.
 """
 
 import functools
+import importlib
 import json
 import os
 import shutil
@@ -40,13 +41,15 @@ from tests.campaigns.targets import TARGETS, prepare  # noqa: E402
 
 ENDS = {"int": (signal.SIGINT, 130), "term": (signal.SIGTERM, 143)}
 HOWS = "kill", "driver", "worker", *ENDS
-MODULES = (
-    "diagrams.analysis", "diagrams.baselines", "diagrams.calibrate", "diagrams.pick_place", "diagrams.sweep",
-    "diagrams.teach",
-    "diagrams.drawing.falsification", "diagrams.drawing.return_certificate", "diagrams.drawing.resumption",
-    "diagrams.drawing.defeat", "diagrams.sweeps.summary", "diagrams.sweeps.table", "models.data.lerobot",
-    "models.training.cae", "models.training.recall", "tests.diagrams.untrained", "pandas", "optuna", "cmaes", "h5py",
-)  # fmt: skip
+# What the programs import where they need it: imported once, before they are forked.
+MODULES = {
+    "falsify": ("diagrams.drawing.falsification", "optuna", "cmaes"), "defeat": ("diagrams.drawing.defeat",),
+    "return": ("diagrams.drawing.return_certificate",), "resume": ("diagrams.drawing.resumption",),
+    "sweep": ("diagrams.sweeps.summary", "diagrams.sweeps.table"), "teach-lerobot": ("models.data.lerobot",),
+    "sweep-blocked": ("diagrams.sweeps.summary", "diagrams.sweeps.table"), "teach": ("models.data.recording",),
+    "cae": ("models.training.cae",), "rnn": ("models.training.rnn",), "recall": ("models.training.recall",),
+}  # fmt: skip
+BARE = {"teach", "teach-lerobot", "return"}  # need no weights and no data
 
 
 @dataclass
@@ -69,7 +72,12 @@ class Campaign:
         self.arguments, self.folder, self.given = arguments, folder, folder / "given"
 
     def prepare(self) -> None:
-        """Makes the inputs."""
+        """Imports what the programs need, and makes their inputs."""
+        for name in self.arguments.targets:
+            for module in (TARGETS[name].program, *MODULES.get(name, ())):
+                importlib.import_module(module)
+        if not set(self.arguments.targets) - BARE:
+            return
         ended = run(lambda: prepare(self.given), self.folder / "preparing")
         if ended.code != 0:
             raise RuntimeError(f"the inputs cannot be made: {ended.err}")
@@ -175,17 +183,8 @@ def _signalled(ended: Ended, code: int) -> str | None:
     return None
 
 
-def load() -> None:
-    """Imports what the programs need, once for all of them."""
-    import importlib
-
-    for module in MODULES:
-        importlib.import_module(module)
-
-
 def main(arguments: KillsArguments) -> int:
     """Runs what is not in the log yet; returns 0 if all was well, else 1."""
-    load()
     folder = Path(tempfile.mkdtemp())  # no TemporaryDirectory: a forked process would remove it at its end
     try:
         path = (arguments.out or folder) / "kills.jsonl"

@@ -32,7 +32,7 @@ sys.path.insert(0, str(ROOT))
 from diagrams.episodes.store import RowStore  # noqa: E402
 from models.command_line import run as run_program  # noqa: E402
 from tests.campaigns.conditions import CONDITIONS, Condition, command, own_mounts  # noqa: E402
-from tests.campaigns.kills import Campaign, load  # noqa: E402
+from tests.campaigns.kills import Campaign  # noqa: E402
 from tests.campaigns.processes import Ended, Forked, run  # noqa: E402
 from tests.campaigns.targets import TARGETS  # noqa: E402
 
@@ -129,7 +129,6 @@ def _end(ended: Ended, code: int, may: tuple[int, ...]) -> str | None:
 
 def main(arguments: MachineArguments) -> int:
     """Runs what is not in the log yet; returns 0 if all was well, else 1."""
-    load()
     mounts = own_mounts()
     folder = Path(tempfile.mkdtemp())
     try:
@@ -149,7 +148,7 @@ def _mounted(folder: Path) -> list[str]:
 def _run(arguments: MachineArguments, folder: Path, store: RowStore, mounts: bool) -> int:
     from tqdm import tqdm
 
-    campaign = MachineCampaign(arguments, folder, store)
+    campaign = MachineCampaign(arguments, folder)
     campaign.prepare()
     cases = [
         (name, condition, number)

@@ -87,7 +87,7 @@ def _updates(out: Path) -> int:
     """Of the checkpoint in `out`."""
     import torch
 
-    paths = [*out.glob("*.ckpt")]
+    paths = [path for path in out.glob("*.ckpt") if ".part" not in path.name]
     return torch.load(paths[0], weights_only=True)["done"] if paths else 0
 
 

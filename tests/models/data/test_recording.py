@@ -152,3 +152,21 @@ def test_the_hash_is_checked_against_the_file(tmp_path):
         assert content_hash(file) == file["data"].attrs["content_hash"]
         file["data/demo_1/actions"][3, 2] += 1e-9
         assert content_hash(file) != file["data"].attrs["content_hash"]
+
+
+@pytest.mark.parametrize("limit", [30_000, 600_000, 1_400_000, 2_500_000])
+def test_where_a_file_cannot_grow_one_line_says_so_and_what_is_there_stays(tmp_path, limit):
+    """HDF5 itself would crash."""
+    path = tmp_path / "y.h5"
+    code = (
+        "import resource, sys\nfrom pathlib import Path\nfrom models.command_line import run\n"
+        "from tests.models.data.test_recording import record\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
+        f"run(lambda _: record(Path({str(path)!r}), range(5)) and 0, lambda: None)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2, ended.stderr
+    assert ended.stderr.startswith(f"error: {path}")
+    assert "File too large" in ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert record(path, range(5)) == record(tmp_path / "whole.h5", range(5))
