@@ -11,7 +11,7 @@ import tyro
 from torch import Tensor
 
 from models.data.augmentation import Augmentation
-from models.data.demonstrations import Demonstration, content_of, read_demonstrations, read_header
+from models.data.demonstrations import Demonstration, content_of, read_demonstrations, read_header, subtask_ranges
 from models.data.scaling import MinMaxScaling
 from models.data.sequences import Batch, SequencePack, errors, make_batch, pack_sequences, run
 from models.errors import InputError
@@ -79,7 +79,9 @@ class RnnOptions(TrainingOptions):
 
 
 def posture_scaling(demos: list[Demonstration], margin: float, least_half_range: float) -> MinMaxScaling:
-    """Bounds (8,) that hold the postures."""
+    """Bounds (8,) that hold the postures; raises InputError without a demonstration."""
+    if not demos:
+        raise InputError("the split train has no demonstration: teach more (diagrams/teach.py with a larger --limit)")
     rows = np.concatenate([demo.posture for demo in demos])
     least = np.full(rows.shape[1], 0.01)
     least[:JOINTS] = least_half_range
@@ -151,11 +153,11 @@ def prepare_sequences(
     options: Any, demos: list[Demonstration], encoder: Any, scaling: MinMaxScaling, target: str
 ) -> dict[str, SequencePack]:
     """Sequences of each split ("train", "valid"), with room for the rest after their end."""
-    most, shortest = (
-        options.augmentation.carry_ticks,
-        min(np.diff([*d.subtask_starts, len(d.posture)]).min() for d in demos),
-    )
-    if most > shortest:
+    if {demo.split for demo in demos} != {"train", "valid"}:
+        raise InputError("a split has no demonstration: teach more (diagrams/teach.py with a larger --limit)")
+    # What cannot be used is refused before the pictures are encoded.
+    shortest = min(last - first for demo in demos for first, last in subtask_ranges(demo))
+    if (most := options.augmentation.carry_ticks) > shortest:
         raise InputError(
             f"--augmentation.carry-ticks {most} is more than the {shortest} ticks of the shortest subtask in "
             f"{options.data}: choose at most that"

@@ -318,7 +318,7 @@ def test_two_candidates_of_one_name_are_refused_at_once(recall_options: RecallOp
 
 def test_carry_ticks_beyond_the_data_are_refused(rnn_options: RnnOptions, tmp_path: Path) -> None:
     beyond = replace(rnn_options, augmentation=Augmentation(carry_ticks=49), out=tmp_path)
-    with pytest.raises(InputError, match=r"--augmentation\.carry-ticks 49 is more than the 48 ticks of the shortest"):
+    with pytest.raises(InputError, match=r"--augmentation\.carry-ticks 49 is more than the \d+ ticks of the shortest"):
         train_rnn(beyond)
 
 
@@ -329,3 +329,8 @@ def test_a_log_that_is_none_is_refused_and_left_alone(rnn_options: RnnOptions, t
     with pytest.raises(InputError, match=r"rnn-validation\.csv is no log of a training .*choose another --out"):
         train_rnn(replace(rnn_options, out=tmp_path, steps=2))
     assert (tmp_path / "rnn.csv").read_bytes() == before
+
+
+def test_without_training_demonstrations_nothing_is_scaled() -> None:
+    with pytest.raises(InputError, match="the split train has no demonstration: teach more"):
+        posture_scaling([], 1.1, 0.3)
