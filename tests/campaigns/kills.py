@@ -49,7 +49,7 @@ MODULES = {
     "sweep-blocked": ("diagrams.sweeps.summary", "diagrams.sweeps.table"), "teach": ("models.data.recording",),
     "cae": ("models.training.cae",), "rnn": ("models.training.rnn",), "recall": ("models.training.recall",),
 }  # fmt: skip
-BARE = {"teach", "teach-lerobot", "return"}  # need no weights and no data
+BARE = {"teach", "teach-lerobot", "return", "pick_place"}  # need no weights and no data of their own
 
 
 @dataclass
