@@ -8,20 +8,21 @@
 #
 # PYTHON311 and PYTHON313 name the interpreters, where they have other names. Below DIR, where that is set, the
 # environments stay and are used again. On Linux without a GPU Python 3.13 fetches 3 GB of CUDA with torch.
-# Says of each what it is made of, whether its golden outputs and its episodes are those of the repository to the bit
-# (same_bits.py), and how the suite ended.
+# Says of each what it is made of, whether it computes to the bit what the first does (same_bits.py),
+# and how the suite ended.
 # Exit code: 0: both passed; 1: one failed; 3: none failed, but a Python was not found, and what it should run did not.
 set -uo pipefail
 here="${BASH_SOURCE[0]%/*}"
 cd "$here/../.." || exit 1
 
 folder="${DIR:-}"
+[ -z "$folder" ] || { mkdir -p "$folder" && rm -f "$folder/bits.json"; }
 passed=0 failed=0
 
 run() { # NAME MINOR INTERPRETER CONSTRAINTS ...
   local name="$1" minor="$2" python="$3" environment words
   shift 3
-  if ! command -v "$python" >/dev/null || ! "$python" -c "import sys; sys.exit(sys.version_info[:2] != (3, $minor))"; then
+  if ! command -v "$python" >/dev/null || ! "$python" -c "import sys; sys.exit(sys.version_info[:2] != (3, $minor))" 2>/dev/null; then
     echo "$name: Python 3.$minor was not found: nothing was run"
     return
   fi
@@ -34,7 +35,7 @@ run() { # NAME MINOR INTERPRETER CONSTRAINTS ...
     failed=$((failed + 1))
     return
   fi
-  words="$(PATH="$environment/bin:$PATH" PYTHONPATH="$PWD" "$environment/bin/python" tests/campaigns/same_bits.py)"
+  words="$(PATH="$environment/bin:$PATH" PYTHONPATH="$PWD" "$environment/bin/python" tests/campaigns/same_bits.py "$folder/bits.json")"
   # A page's commands and the linters are .ci/run's.
   if PATH="$environment/bin:$PATH" OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONPATH="$PWD" \
     "$environment/bin/python" -m pytest -n 2 --dist loadfile -p no:cacheprovider "${chosen[@]}" >&2; then
