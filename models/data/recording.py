@@ -54,7 +54,8 @@ class RecordingFile(AbstractContextManager):
         text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
         damaged = "if a kill in the middle of a write broke it, delete it"
         with hdf5_errors(path, "written", "choose another --out", damaged):
-            require_plain(path, "choose another --out")
+            if not path.is_dir():
+                require_plain(path, "choose another --out")
             if not path.exists():
                 begun = io.BytesIO()
                 with h5py.File(begun, "w") as file:
