@@ -22,17 +22,22 @@ import numpy as np
 import tyro
 
 from diagrams.episodes.calibration import UNFITTED, Calibration, Controller, detector_file, make_detector, never_fires
-from diagrams.episodes.pool import Pool
-from diagrams.episodes.sampling import episode_seeds
+from diagrams.episodes.pool import MOST_WORKERS, Pool
+from diagrams.episodes.sampling import SEEDS_APART, episode_seeds
 from diagrams.episodes.thresholds import best_in_loop, by_count
 from diagrams.episodes.validation import Validation
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, DISTURBANCES, ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
+from models.checks import Range, require_numbers
 from models.command_line import run
 from models.errors import InputError
 from systems.detectors import DETECTORS
 
+RANGES: dict[str, Range] = {
+    "episodes": (1, SEEDS_APART), "disturbed": (1, SEEDS_APART), "trials": (1, SEEDS_APART), "workers": (0, MOST_WORKERS),
+    "factors": (1e-3, 1e3), "betas": (1e-3, 1e6),
+}  # fmt: skip
 NOTED = ("seed", "episodes", "disturbed", "trials", "factors", "betas")  # arguments that decide what is written
 
 
@@ -95,9 +100,7 @@ def main(arguments: BaselinesArguments) -> int:
 def _check(arguments: BaselinesArguments) -> None:
     if not arguments.policies:
         raise InputError("no policy is given: give --policies one file or more")
-    for name, least in (("episodes", 1), ("disturbed", 1), ("trials", 1), ("workers", 0)):
-        if (value := getattr(arguments, name)) < least:
-            raise InputError(f"--{name} {value} is too small: choose {least} or more")
+    require_numbers(arguments, RANGES)
     episode_seeds("validation", arguments.seed, 1)  # there are some
     if UNFITTED & set(map(DETECTORS.label, arguments.detector)):
         raise InputError(
@@ -105,9 +108,6 @@ def _check(arguments: BaselinesArguments) -> None:
         )
     if not arguments.detector or not arguments.factors or not arguments.betas:
         raise InputError("detectors, factors and betas need one value at least")
-    for value in (*arguments.factors, *arguments.betas):
-        if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{value} is no factor of gamma and no beta: choose finite ones above 0")
     if len({path.parent.resolve() for path in arguments.policies}) != 1:
         raise InputError("the policies lie in several folders: put them into one, where the detectors' files will be")
 

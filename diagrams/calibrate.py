@@ -33,14 +33,15 @@ from diagrams.episodes.calibration import (
     never_fires,
 )
 from diagrams.episodes.fingerprint import fingerprint
-from diagrams.episodes.pool import Pool
-from diagrams.episodes.sampling import episode_seeds
+from diagrams.episodes.pool import MOST_WORKERS, Pool
+from diagrams.episodes.sampling import SEEDS_APART, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.episodes.switching import DETECTED
 from diagrams.episodes.thresholds import ValidationRun, conformal, mean_errors, misses, scores, spans
 from diagrams.episodes.validation import Validation, tally
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
+from models.checks import require_apart, require_numbers
 from models.command_line import require, require_writable, run
 from models.errors import InputError
 from models.policy import POLICIES
@@ -73,6 +74,7 @@ class CalibrateArguments:
     def check(self) -> None:
         """Raises InputError for a value outside its choices."""
         require_writable(self.out)
+        require_apart({"--out": self.out}, {"--world": self.world, "--encoder": self.encoder})
         if bool(self.candidates) == (self.policy is not None):
             raise InputError(
                 "no candidate is given, or a policy too: give --candidates one file or more, or give --policy"
@@ -83,9 +85,8 @@ class CalibrateArguments:
             raise InputError("the detector 'never' has nothing to calibrate: choose another")
         if self.policy is not None and self.out.name != (name := detector_file(Path(), self.detector).name):
             raise InputError(f"--out {self.out} is not how the detector's file is found: call it {name}")
-        for name in ("episodes", "runs", "disturbed"):
-            if (value := getattr(self, name)) < 1:
-                raise InputError(f"--{name} {value} is too small: choose 1 or more")
+        counts = dict.fromkeys(("episodes", "runs", "disturbed"), (1, SEEDS_APART))
+        require_numbers(self, counts | {"workers": (0, MOST_WORKERS)})
         if not 0.0 < self.delta < 1.0:
             raise InputError(f"--delta {self.delta} is no share: choose one between 0 and 1, such as 0.01")
         for seed, count in ((self.seed, self.episodes), (self.calibration_seed, max(self.runs, self.disturbed))):

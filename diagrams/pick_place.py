@@ -22,6 +22,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world
+from models.checks import require_apart
 from models.command_line import require, require_writable, run
 from models.errors import InputError
 
@@ -88,13 +89,15 @@ def main(cli: PickPlaceArguments) -> int:
     from diagrams.episodes.tick_table import tick_table
 
     formats = {
-        cli.replay: (".html",), cli.plot: PLOT_FORMATS, cli.graphviz: GRAPH_FORMATS, cli.video: (".mp4",),
-        cli.film: FILM_FORMATS, cli.json: (".json",), cli.record: (".npz",), cli.mcap: (".mcap",),
+        "replay": (".html",), "plot": PLOT_FORMATS, "graphviz": GRAPH_FORMATS, "video": (".mp4",),
+        "film": FILM_FORMATS, "json": (".json",), "record": (".npz",), "mcap": (".mcap",),
     }  # fmt: skip
-    written = [path for path in formats if path is not None]
-    for path in written:
-        if path.suffix not in formats[path]:
-            names = ", ".join(formats[path])
+    asked = {f"--{name}": path for name in formats if (path := getattr(cli, name)) is not None}
+    require_apart(asked, {"--scenario": cli.scenario, "--world": cli.world_file})
+    written = list(asked.values())
+    for (option, path), endings in zip(asked.items(), (formats[option[2:]] for option in asked), strict=True):
+        if path.suffix not in endings:
+            names = ", ".join(endings)
             raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
     if cli.mcap is not None:
         require("foxglove")

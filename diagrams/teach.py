@@ -17,10 +17,10 @@ from typing import Any, Literal
 import tyro
 
 from diagrams.episodes.compatibility import facts
-from diagrams.episodes.pool import Pool, kept_in_thread
+from diagrams.episodes.pool import MOST_WORKERS, Pool, kept_in_thread
 from diagrams.world.names import ARM_JOINTS
+from models.checks import LARGEST_SEED, require_numbers
 from models.command_line import require, run
-from models.errors import InputError
 
 
 @dataclass
@@ -57,10 +57,7 @@ def main(arguments: TeachArguments) -> int:
     from diagrams.world.scenario import load_world
     from diagrams.world.teacher import setups
 
-    for name, least in (("seed", 0), ("limit", 1)):
-        value = getattr(arguments, name)
-        if value is not None and value < least:
-            raise InputError(f"--{name} {value} is too small: choose {least} or more")
+    require_numbers(arguments, {"seed": (0, LARGEST_SEED), "limit": (1, 10**6), "workers": (0, MOST_WORKERS)})
     world = load_world(arguments.world)
     todo = setups(world, arguments.seed)[: arguments.limit]
     settings = {"world": dataclasses.asdict(world), "seed": arguments.seed}

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
+from models.checks import require_plain
 from models.errors import InputError
 
 # Which extra of pyproject.toml brings a module.
@@ -45,6 +46,10 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
         if not _reader_gone():  # another pipe than the output's
             raise
         code = 141  # as if ended by SIGPIPE: what was to be done is not done
+    except OSError as error:
+        if error.filename is None:
+            raise
+        code = _bad_input(f"{str(error.filename)!a:.200}: {error.strerror}: choose another name")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         code = 130
@@ -103,6 +108,7 @@ def require_checkout() -> None:
 def require_writable(path: Path) -> None:
     """Raises InputError unless the file `path`, which is left as it is, can be written; before work is done for it."""
     try:
+        require_plain(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             path.open("ab").close()

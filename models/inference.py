@@ -40,7 +40,7 @@ class _Session:
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.use_deterministic_compute = True
         options.log_severity_level = 4  # what is wrong is raised
-        self._outputs = list(outputs)
+        self._path, self._outputs = path, list(outputs)
         try:
             self._session = onnxruntime.InferenceSession(graph.content, options, providers=["CPUExecutionProvider"])
             given = {port.name: port.shape[1:] for port in self._session.get_inputs()}
@@ -54,7 +54,7 @@ class _Session:
             found |= zip(outputs, self(**found), strict=True)
         except WeightsError:
             raise
-        except Exception as error:  # the runtime raises a class of its own for each thing that can be wrong
+        except Exception as error:  # as in __call__
             words = " ".join(str(error).split())[:300]
             raise WeightsError(path, f"its graph cannot be run ({words})", REMEDY) from error
         self.shapes = {name: value.shape[1:] for name, value in found.items()}
@@ -69,7 +69,12 @@ class _Session:
                 raise WeightsError(path, f"its {name} is not finite where its inputs are 0", REMEDY)
 
     def __call__(self, **inputs: np.ndarray) -> list[np.ndarray]:
-        return self._session.run(self._outputs, inputs)
+        """Raises WeightsError where the graph, which ran on zeros, does not run on these `inputs`."""
+        try:
+            return self._session.run(self._outputs, inputs)
+        except Exception as error:  # the runtime raises a class of its own for each thing that can be wrong
+            words = " ".join(str(error).split())[:300]
+            raise WeightsError(self._path, f"its graph cannot be run ({words})", REMEDY) from error
 
 
 class Encoder:

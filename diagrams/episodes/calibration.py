@@ -100,6 +100,7 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     `policy`: see models/inference.py. Raises InputError for a policy without, WeightsError for a detector's file that
     is missing, damaged, or without a calibration for this policy.
     """
+    from models.files.container import WeightsError
     from models.files.detectors import calibration_of, load_detector
 
     own = getattr(policy, "calibrated_beside", False)
@@ -111,9 +112,16 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     if DETECTORS.label(detector) == "never":
         return never_fires(1)
     path = detector_file(folder, detector)
+    by = "calibrate.py --policy" if own else "baselines.py"
     if own and not path.is_file():
         raise InputError(f"there is no calibration of '{detector}' for {policy.name} in {folder}: run calibrate.py")
-    found = calibration_of(path, load_detector(path, DETECTORS.label(detector)), policy.hash)
+    found = calibration_of(path, load_detector(path, DETECTORS.label(detector)), policy.hash, by)
+    criteria = make_detector(detector, policy, folder).GetOutputPort("errors").size()
+    if len(found["mean_errors"]) != criteria:
+        raise WeightsError(
+            path, f"has {len(found['mean_errors'])} mean_errors for {policy.name}, where the detector has {criteria}",
+            f"Calibrate it again with diagrams/{by}",
+        )  # fmt: skip
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
 
 

@@ -38,6 +38,12 @@ class Record:
     events: list[tuple[float, str]]  # (s, what happened)
 
 
+_WIDTHS = dict.fromkeys(("posture", "rnn_step", "regulator_step", "desired_posture"), 8) | {"can_poses": 14}
+# What is read of an outcome, and its types.
+_OUTCOME: dict[str, tuple[type, ...]] = {
+    "seed": (int,), "disturbance": (str,), "detector": (str,), "weights_hash": (str,), "success": (bool, type(None)),
+    "switch_success": (bool, type(None)), "failure": (str, type(None)),
+}  # fmt: skip
 ARRAYS = tuple(f.name for f in dataclasses.fields(Record) if f.name != "events")
 
 
@@ -84,9 +90,38 @@ def load_record(path: Path) -> tuple[Record, dict]:
         with np.load(path, allow_pickle=False) as file:
             text = json.loads(str(file["text"]))
             arrays = {name: file[name] for name in ARRAYS}
-        return Record(**arrays, events=[(float(t), str(what)) for t, what in text["events"]]), text["outcome"]
+        record = Record(**arrays, events=[(float(t), str(what)) for t, what in text["events"]])
+        _require_whole(record, text["outcome"])
+        return record, text["outcome"]
     except Exception as error:  # numpy, zip, zlib and json raise a dozen types, with words of their own
-        raise InputError(f"{path} holds no record, or a damaged one: {_REMEDY}") from error
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"{path} holds no record, or a damaged one ({reason}): {_REMEDY}") from error
+
+
+def _require_whole(record: Record, outcome: dict) -> None:
+    """Raises ValueError unless the arrays are rows of one run, of finite numbers, and the outcome is one."""
+    ticks, shots = len(record.time), len(record.picture_ticks)
+    for name in ARRAYS:
+        array = getattr(record, name)
+        rows = shots if "picture" in name else ticks
+        kinds = "u" if name == "pictures" else "iu" if name == "picture_ticks" else "fiub"
+        axes = {"pictures": 4, "time": 1, "alpha": 1, "active": 1, "picture_ticks": 1}.get(name, 2)
+        fits = array.ndim == axes or (name == "pictures" and not shots)
+        if not fits or len(array) != rows or array.dtype.kind not in kinds or not np.isfinite(array).all():
+            raise ValueError(f"{name} is {array.dtype} {array.shape} of {ticks} ticks: finite rows are needed")
+        if name in _WIDTHS and array.shape[1] != _WIDTHS[name] or np.abs(array).max(initial=0) > 1e15:
+            raise ValueError(f"{name} is {array.shape} of numbers up to {np.abs(array).max(initial=0):g}")
+    if not ticks or np.any(np.diff(record.time) <= 0) or np.any((record.alpha < 0) | (record.alpha > 1)):
+        raise ValueError("it has no ticks, or time or alpha are none")
+    if shots and not (np.all(record.picture_ticks >= 0) and np.all(record.picture_ticks < ticks)):
+        raise ValueError(f"picture_ticks are beyond the {ticks} ticks")
+    if not all(np.isfinite(seconds) for seconds, _ in record.events):
+        raise ValueError("an event has no time")
+    if absent := [name for name in _OUTCOME if name not in outcome]:
+        raise ValueError(f"the outcome has no {', '.join(absent)}")
+    for name, kinds in _OUTCOME.items():
+        if not isinstance(outcome[name], kinds):
+            raise ValueError(f"the outcome has the {name} {outcome[name]!s:.60}")
 
 
 def find_records(paths: list[Path]) -> list[Path]:

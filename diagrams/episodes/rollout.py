@@ -174,7 +174,10 @@ class Rollout:
             raise InputError("the episode has a person's hands, the diagram has none: build it with hands=True")
         if (used := calibration or self.calibration) is None:
             raise InputError("the detector has no calibration: give one, or run diagrams/baselines.py")
-        self.controller.set_calibration(context, used.mean_errors, used.beta, used.gamma)
+        try:
+            self.controller.set_calibration(context, used.mean_errors, used.beta, used.gamma)
+        except ValueError as error:
+            raise InputError(f"the calibration does not fit the detector: {error}") from error
         return context
 
     def _set_disturbance(self, context: Context, given: DisturbanceSpec) -> None:
@@ -253,6 +256,10 @@ class Rollout:
                     keep = None
             # To the middle of the tick: its outputs hold from the update to the next one.
             if not self._to_middle(k, homing, way_home, ports):
+                if not k:
+                    raise InputError(
+                        "the simulation diverges in its first tick: choose a softer world.servo, or a smaller time_step"
+                    )
                 diverged = True  # what came before is kept
                 break
             posture, alpha, active, taken, cans = [port.Eval(context).copy() for port, context in judged]

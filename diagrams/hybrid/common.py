@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from diagrams.world.configuration import World
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
+from models.checks import LARGEST_SEED, Range, require_numbers
 from models.command_line import require_writable
 from models.errors import InputError
 
@@ -26,18 +27,15 @@ class Arguments:
     world: Path | None = None  # YAML file of the world, over the default one
 
     NAME: ClassVar[str]  # of the analysis, and of its report
-    LEAST: ClassVar[dict[str, int]] = {}  # smallest value of each number
+    RANGES: ClassVar[dict[str, Range]] = {}  # least and most of each number
 
     def run(self) -> int:
         """Makes the analysis; returns 0 if what it checks holds, else 1."""
         raise NotImplementedError
 
     def check(self) -> None:
-        """Raises InputError for a number that is too small, and where `out` cannot be made."""
-        for name, least in {"seed": 0, **self.LEAST}.items():
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise InputError(f"--{name.replace('_', '-')} {value} is too small: choose {least} or more")
+        """Raises InputError for a number out of its range, and where `out` cannot be made."""
+        require_numbers(self, {"seed": (0, LARGEST_SEED), **self.RANGES})
         try:
             self.out.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -14,9 +14,9 @@ from tqdm import tqdm
 
 from diagrams.episodes.calibration import Controller
 from diagrams.episodes.fingerprint import fingerprint
-from diagrams.episodes.pool import Pool
+from diagrams.episodes.pool import MOST_WORKERS, Pool
 from diagrams.episodes.runner import Job
-from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
+from diagrams.episodes.sampling import SEEDS_APART, SEED_BLOCKS, EpisodeSampler, episode_seeds
 from diagrams.episodes.space import EpisodeSpace
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.common import NetworkArguments
@@ -29,6 +29,7 @@ from diagrams.hybrid.splitting import Kernel, Splitting, require_sizes, split
 from diagrams.world.configuration import World
 from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import save_scenario
+from models.checks import Range
 from models.errors import InputError
 
 SCENE_MOVES, BLOCK_MOVES = 0.25, 0.5  # chances that a move changes the scene, and each other block
@@ -49,7 +50,10 @@ class Defeat(NetworkArguments):
     workers: int = 2
 
     NAME: ClassVar[str] = "defeat"
-    LEAST: ClassVar[dict[str, int]] = {"repetitions": 2, "brute": 0, "workers": 0}
+    RANGES: ClassVar[dict[str, Range]] = {
+        "seed": (0, SEED_BLOCKS - 1), "population": (1, 10**5), "moves": (1, 1000), "repetitions": (2, 1000), "brute": (0, SEEDS_APART),
+        "workers": (0, MOST_WORKERS),
+    }  # fmt: skip
 
     def check(self) -> None:
         """Raises InputError also for sizes that make no run, and for kinds that take no arm."""

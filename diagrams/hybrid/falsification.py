@@ -8,10 +8,10 @@ from typing import ClassVar
 from diagrams.episodes.calibration import Controller
 from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.fingerprint import fingerprint
-from diagrams.episodes.pool import Pool
+from diagrams.episodes.pool import MOST_WORKERS, Pool
 from diagrams.episodes.record import Record, record_hash
 from diagrams.episodes.runner import Job, run_episode
-from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
+from diagrams.episodes.sampling import SEEDS_APART, SEED_BLOCKS, EpisodeSampler, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.episodes.switching import DEFEATS
 from diagrams.hybrid.common import NetworkArguments
@@ -21,6 +21,7 @@ from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, save_scenario
+from models.checks import Range
 from models.errors import InputError
 
 
@@ -33,7 +34,9 @@ class Falsify(NetworkArguments):
     workers: int = 2
 
     NAME: ClassVar[str] = "falsify"
-    LEAST: ClassVar[dict[str, int]] = {"trials": 1, "scenes": 1, "workers": 0}
+    RANGES: ClassVar[dict[str, Range]] = {
+        "seed": (0, SEED_BLOCKS - 1), "trials": (1, 10**6), "scenes": (1, SEEDS_APART), "workers": (0, MOST_WORKERS),
+    }  # fmt: skip
 
     def run(self) -> int:
         """Searches, and replays each sampler's smallest counterexample; returns 0 if all give the same bits, else 1."""

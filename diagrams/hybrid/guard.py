@@ -13,6 +13,7 @@ import numpy as np
 from diagrams.episodes.switching import GUARD
 from diagrams.hybrid.common import NetworkArguments
 from diagrams.world.names import ARM_JOINTS
+from models.checks import SMALLEST, Range
 from models.errors import InputError
 
 BISECTIONS = 20
@@ -30,7 +31,9 @@ class Guard(NetworkArguments):
     rays: int = 16  # along which points are bisected
 
     NAME: ClassVar[str] = "guard"
-    LEAST: ClassVar[dict[str, int]] = {"grid": 3, "ticks": 1, "rays": 1}
+    RANGES: ClassVar[dict[str, Range]] = {
+        "grid": (3, 1001), "ticks": (1, 1000), "rays": (1, 1000), "reach": (SMALLEST, 180.0), "level": (0.001, 1.0),
+    }  # fmt: skip
 
     def run(self) -> int:
         """Scans a grid and bisects along rays; returns 0 if both agree within the grid's resolution, else 1."""

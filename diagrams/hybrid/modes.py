@@ -21,6 +21,7 @@ from diagrams.episodes.record import PICTURE_EVERY, Record, find_records, load_r
 from diagrams.episodes.switching import GUARD
 from diagrams.hybrid.common import NetworkArguments
 from diagrams.world.names import ARM_JOINTS
+from models.checks import Range
 
 TASK, RETURN = "task", "return"
 
@@ -34,7 +35,7 @@ class Modes(NetworkArguments):
     max_crossings: int = 4  # guard crossings in any second that are still no chatter
 
     NAME: ClassVar[str] = "modes"
-    LEAST: ClassVar[dict[str, int]] = {"max_crossings": 0}
+    RANGES: ClassVar[dict[str, Range]] = {"max_crossings": (0, 1000)}
 
     def run(self) -> int:
         """Measures the automaton; returns 0 if no run shows chatter, else 1."""

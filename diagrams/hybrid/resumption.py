@@ -16,9 +16,9 @@ import numpy as np
 
 from diagrams.episodes.calibration import Controller, stored_calibration
 from diagrams.episodes.fingerprint import fingerprint
-from diagrams.episodes.pool import Pool, kept_in_thread
+from diagrams.episodes.pool import MOST_WORKERS, Pool, kept_in_thread
 from diagrams.episodes.runner import Job, build_rollout, run_episode
-from diagrams.episodes.sampling import EpisodeSampler, episode_seeds
+from diagrams.episodes.sampling import SEED_BLOCKS, EpisodeSampler, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.episodes.switching import RESUME_SECONDS
 from diagrams.hybrid.box_gauge import BoxGauge
@@ -29,6 +29,7 @@ from diagrams.hybrid.return_proof import bound
 from diagrams.world.configuration import RESUMPTIONS, World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.task import HOME_TOLERANCE
+from models.checks import Range
 from models.errors import InputError
 
 STARTS_A_SCENE = 15  # of a kind
@@ -47,15 +48,16 @@ class Resume(NetworkArguments):
     workers: int = 2
 
     NAME: ClassVar[str] = "resume"
-    LEAST: ClassVar[dict[str, int]] = {"starts": 1, "compared": 0, "runs": 0, "workers": 0}
+    RANGES: ClassVar[dict[str, Range]] = {
+        "seed": (0, SEED_BLOCKS - 1), "starts": (1, STARTS_A_SCENE * MOST_SCENES), "compared": (0, STARTS_A_SCENE * MOST_SCENES),
+        "runs": (0, MOST_SCENES), "workers": (0, MOST_WORKERS),
+    }  # fmt: skip
 
     def run(self) -> int:
         """Samples; returns 0 if under the world's rule every start resumes, else 1."""
         from diagrams.drawing.resumption import save_resumption
 
         world, (encoder, policy, _) = self.loaded_world(), self.calibrated()
-        if self.runs > MOST_SCENES:
-            raise InputError(f"--runs {self.runs} is too large: choose at most {MOST_SCENES}")
         chosen = {"weights": policy.hash, "encoder": encoder.hash}
         path = self.out / "resume_starts.jsonl"
         job, seeds = Job(world, self.encoder_path, Controller(self.policy_path)), self._seeds()

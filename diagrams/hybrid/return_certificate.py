@@ -16,8 +16,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from diagrams.episodes.fingerprint import fingerprint
-from diagrams.episodes.pool import Pool
-from diagrams.episodes.sampling import episode_seeds
+from diagrams.episodes.pool import MOST_WORKERS, Pool
+from diagrams.episodes.sampling import SEED_BLOCKS, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.box_gauge import BoxGauge
 from diagrams.hybrid.common import Arguments
@@ -30,6 +30,7 @@ from diagrams.hybrid.return_trajectories import trajectories_home
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.task import HOME_TOLERANCE
+from models.checks import Range
 
 CALIBRATION_SHARE = 10  # postures or episodes of the proof for one of the calibration
 LEAST_CALIBRATION = {"box": 40, "draws": 10}  # postures, episodes
@@ -44,7 +45,7 @@ class Return(Arguments):
     workers: int = 2
 
     NAME: ClassVar[str] = "return"
-    LEAST: ClassVar[dict[str, int]] = {"samples": 1, "draws": 1, "workers": 0}
+    RANGES: ClassVar[dict[str, Range]] = {"seed": (0, SEED_BLOCKS - 1), "samples": (1, 10**6), "draws": (1, 9000), "workers": (0, MOST_WORKERS)}
 
     def run(self) -> int:
         """Makes and tests the certificate; returns 0 if the simulations bear it out, else 1."""

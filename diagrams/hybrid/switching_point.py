@@ -19,6 +19,7 @@ from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, ENCODER, SPOTS, WE
 from diagrams.world.station import PickPlaceStation
 from diagrams.world.task import lifted
 from diagrams.world.trajectory import subtask_commands
+from models.checks import Range
 from models.errors import InputError
 from systems.detector import alpha_of
 from systems.image_encoder import ImageEncoder
@@ -43,7 +44,7 @@ class Linearize(Arguments):
     vacant: str = "left"  # spot on the shelf: left or right
 
     NAME: ClassVar[str] = "linearize"
-    LEAST: ClassVar[dict[str, int]] = {"samples": 1}
+    RANGES: ClassVar[dict[str, Range]] = {"samples": (1, 10_000)}
 
     def run(self) -> int:
         """Analyses each policy before each subtask; returns 0 if Jacobians and decays are as predicted, else 1."""

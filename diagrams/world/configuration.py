@@ -17,6 +17,7 @@ from systems.arguments import require_count, require_positive, require_vector
 from systems.clearance_filter import WITHIN
 
 LARGEST_PICTURE = 2048  # pixels a side
+LARGEST_GRID = 100  # positions a side
 CLEARANCE_CANS = ("possible", "known", "unseen")
 RESUMPTIONS = ("reset", "imagined")
 MOST_HALVINGS = 10  # of a period to a time step: a simulation of smaller ones would not end
@@ -140,19 +141,17 @@ class World:
         try:
             for name in POSITIVE:
                 require_positive(f"world.{name}", attrgetter(name)(self))
-            for name, least in (("camera.width", 112), ("camera.height", 112), ("grid.count", 2)):
-                require_count(f"world.{name}", attrgetter(name)(self), least)
+            for name, least, most in (
+                ("camera.width", 112, LARGEST_PICTURE), ("camera.height", 112, LARGEST_PICTURE),
+                ("grid.count", 2, LARGEST_GRID),
+            ):  # fmt: skip
+                require_count(f"world.{name}", attrgetter(name)(self), least, most)
             require_vector("world.servo.stiffness", self.servo.stiffness, ARM_JOINTS, minimum=0.0)
             require_vector("world.servo.damping", self.servo.damping, ARM_JOINTS, minimum=0.0)
             require_vector("world.grid.corner", self.grid.corner, 2)
             require_vector("world.initial_joints_deg", self.initial_joints_deg, ARM_JOINTS)
         except ValueError as error:
             raise InputError(str(error)) from error
-        for size in (self.camera.width, self.camera.height):
-            if size > LARGEST_PICTURE:
-                raise InputError(
-                    f"a world.camera of {size} pixels is too large: choose at most {LARGEST_PICTURE} a side"
-                )
         period, step, angle = self.timing.period, self.timing.time_step, self.camera.field_of_view_deg
         # Drake counts both as k * period in doubles: one ulp later than the step, and the tick's updates run after it
         # and see the state that it made. Halves of the period have its digits.

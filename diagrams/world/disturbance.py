@@ -5,11 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagrams.world.names import ARM_JOINTS, MOVED
+from models.checks import require_number
 from models.errors import InputError
 from systems.disturbance import KINDS, DisturbanceParameters
 
 # The can leaves the hand with the fifth tick after the onset: by then the arm stands still.
 CAN_TAKEN_TICKS = 5
+MOST_HELD = 10_000  # ticks that the arm may be held
 
 
 @dataclass
@@ -50,6 +52,7 @@ class DisturbanceSpec(DisturbanceParameters):
             raise InputError(f"there is no subtask {self.subtask} (disturbance.subtask): choose 1 or 2")
         if self.hold_ticks < (1 if self.kind == "B" else 0):
             raise InputError(f"disturbance.hold_ticks {self.hold_ticks} is too short: choose 1 or more (A: 0 or more)")
+        require_number("disturbance.hold_ticks", self.hold_ticks, 0, MOST_HELD)
         wanted = ARM_JOINTS if self.kind == "A" else 0
         if len(self.target or []) != wanted or not np.all(np.isfinite(self.target or [])):
             words = f"does not fit disturbance {self.kind}: give {wanted} joint angles in rad"

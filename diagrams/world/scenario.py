@@ -1,5 +1,6 @@
 """One episode and its world, as a scenario file holds them (YAML over the defaults)."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -8,10 +9,14 @@ from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import SPOTS
+from diagrams.world.plain_yaml import plain_yaml
+from models.checks import LARGEST_SEED, require_number
 from models.errors import InputError
 from models.networks import network_label
 from models.policy import POLICIES, make_policy
 from systems.detectors import DETECTORS
+
+MOST_WORDS = 500  # letters of a reason that are told
 
 
 @dataclass
@@ -45,7 +50,8 @@ class Scenario:
             raise InputError(f"there is no vacant spot '{self.vacant}': choose one of {', '.join(SPOTS)}")
         if self.seed < 0:
             raise InputError(f"the seed {self.seed} is negative: choose a whole number from 0 on")
-        if self.can is not None and len(self.can) != 2:
+        require_number("the seed", self.seed, 0, LARGEST_SEED)
+        if self.can is not None and (len(self.can) != 2 or not all(map(math.isfinite, self.can))):
             raise InputError(f"the can's position {self.can} does not have two numbers: give x and y in metres")
         self.disturbance.check()
         self.hands.check()
@@ -74,11 +80,12 @@ def _load(path: Path, what: str, defaults: Loaded, source: str) -> Loaded:
     if not path.is_file():
         raise InputError(f"there is no {what} file {path}: check the name")
     try:
-        return yaml_load_typed(schema=type(defaults), filename=str(path), defaults=defaults)
+        text = plain_yaml(path, type(defaults))
+        return yaml_load_typed(schema=type(defaults), data=text, defaults=defaults)
     except Exception as error:  # the loader raises many types, each with its own words for what does not fit
-        reason = " ".join(str(error).split())
+        reason = " ".join(str(error).split())[:MOST_WORDS] or type(error).__name__
         keys = f"its keys are those of {type(defaults).__name__} in diagrams/world/{source}"
-        raise InputError(f"the {what} file {path} does not fit: {reason}; {keys}") from error
+        raise InputError(f"the {what} file {path} does not fit: {reason}; change that, {keys}") from error
 
 
 def save_scenario(path: Path, scenario: Scenario, comments: list[str] | None = None) -> None:

@@ -17,6 +17,8 @@ from models.errors import InputError
 
 SPLITS = ("train", "valid")
 START_TICKS, END_TICKS = 3, 14  # of a subtask's dwells that are kept
+LEAST_TICKS, MOST_TICKS = 12, 100_000  # of a subtask, and of a demonstration
+LARGEST = 1000.0  # rad and m, and more than any posture has
 TOLERANCE = 0.02  # rad and m: a posture nearer than that to the dwell's is taken for dwelling
 
 
@@ -71,6 +73,10 @@ def hdf5_errors(path: str | Path, verb: str, remedy: str, damaged: str) -> Itera
         elif not error.errno:
             wrong = f"is no HDF5 ({error}): {damaged}"
         raise DatasetError(f"{path} {wrong}") from error
+    except InputError:
+        raise
+    except (AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:  # of h5py, by what is broken
+        raise DatasetError(f"{path} is damaged ({' '.join(str(error).split()):.200}): {damaged}") from error
 
 
 @contextmanager
@@ -81,8 +87,8 @@ def _open(path: str | Path) -> Iterator[h5py.File]:
     try:
         with hdf5_errors(path, "read", "give another --data", "record it again"), h5py.File(path, "r") as file:
             yield file
-    except KeyError as error:
-        raise DatasetError(f"{path}: {error}. Is that a data set of diagrams/teach.py?") from error
+    except RecursionError as error:
+        raise DatasetError(f"{path} is damaged ({error}): record it again") from error
 
 
 def number_of(name: str) -> int:
@@ -94,30 +100,48 @@ def read_header(path: str | Path) -> DatasetHeader:
     """Reads the file's attributes."""
     with _open(path) as file:
         attributes: Any = file["data"].attrs
-        world = json.loads(attributes.get("world", "{}"))
-        return DatasetHeader(np.array(attributes["initial_posture"], float), world, str(attributes["content_hash"]))
+        world = dict(json.loads(attributes.get("world", "{}")))
+        initial = np.array(attributes["initial_posture"], float)
+        if initial.ndim != 1 or not np.isfinite(initial).all():
+            raise ValueError(f"initial_posture is {initial}")
+        return DatasetHeader(initial, world, str(attributes["content_hash"]))
 
 
 def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demonstration]:
     """All demonstrations, or those of one split ("train", "valid"), in the order of their numbers."""
     with _open(path) as file:
         splits = {name.decode(): part for part in SPLITS for name in file[f"mask/{part}"][()]}
+        size = np.size(file["data"].attrs["initial_posture"])
         found = [
-            Demonstration(
-                name=name,
-                split=splits[name],
-                can_xy=np.array(group.attrs["can_xy"], float),
-                vacant=str(group.attrs["vacant"]),
-                subtask_starts=tuple(int(k) for k in group.attrs["subtask_starts"]),
-                posture=np.array(group["obs/posture"], float),
-                actions=np.array(group["actions"], float),
-            )
+            _demonstration(name, splits[name], file["data"][name], size)
             for name in sorted(splits, key=number_of)
-            if split in (None, splits[name]) and (group := file["data"][name])
+            if split in (None, splits[name])
         ]
     if not found:
         raise DatasetError(f"{path}: holds no demonstration of split {split}")
     return found
+
+
+def _demonstration(name: str, split: str, group: h5py.Group, size: int) -> Demonstration:
+    """The demonstration in its group, of postures with `size` components; raises ValueError for what makes none."""
+    shapes = {key: group[key].shape for key in ("obs/posture", "actions", "obs/rgb")}
+    ticks = shapes["obs/posture"][0] if shapes["obs/posture"] else 0
+    wanted = {"obs/posture": (ticks, size), "actions": (ticks, size), "obs/rgb": (ticks, *group["obs/rgb"].shape[1:])}
+    if shapes != wanted or len(shapes["obs/rgb"]) != 4 or group["obs/rgb"].dtype != np.uint8 or ticks > MOST_TICKS:
+        words = ", ".join(f"{key} {shape}" for key, shape in shapes.items())
+        raise ValueError(f"{name} holds {words}: rows of one length, at most {MOST_TICKS}, are needed")
+    posture, actions = (np.array(group[key], float) for key in ("obs/posture", "actions"))
+    can_xy, starts = np.array(group.attrs["can_xy"], float), tuple(int(k) for k in group.attrs["subtask_starts"])
+    for what, array in (("obs/posture", posture), ("actions", actions), ("can_xy", can_xy)):
+        if not np.isfinite(array).all() or np.abs(array).max(initial=0.0) > LARGEST:
+            raise ValueError(f"{name} has the {what} {array!s:.60}: finite numbers of at most {LARGEST:g} are needed")
+    edges = (*starts, ticks)
+    if can_xy.shape != (2,) or not starts or starts[0] != 0 or min(np.diff(edges)) < LEAST_TICKS:
+        raise ValueError(
+            f"{name} has the can_xy {can_xy} and the subtask_starts {starts} of {ticks} ticks: x and y, and subtasks "
+            f"of {LEAST_TICKS} ticks or more from 0 on, are needed"
+        )
+    return Demonstration(name, split, can_xy, str(group.attrs["vacant"]), starts, posture, actions)
 
 
 def content_of(path: str | Path) -> str:

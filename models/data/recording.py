@@ -67,7 +67,11 @@ class RecordingFile(AbstractContextManager):
         return name in self._data
 
     def add(self, recording: Recording) -> None:
-        """Writes one demonstration; it is whole in the file when this returns."""
+        """Writes one demonstration; it is whole in the file when this returns. Raises DatasetError as `finish`."""
+        with self._errors():
+            self._add(recording)
+
+    def _add(self, recording: Recording) -> None:
         partial = f"partial_{recording.name}"
         if partial in self._file:  # left by a kill in the middle of a write
             del self._file[partial]
@@ -83,7 +87,17 @@ class RecordingFile(AbstractContextManager):
         self._file.flush()
 
     def finish(self, names: Sequence[str]) -> tuple[str, list[str]]:
-        """Lists those demonstrations in the mask; returns the content hash, and the names of those that failed."""
+        """Lists those demonstrations in the mask; returns the content hash, and the names of those that failed.
+
+        Raises DatasetError where a demonstration in the file is damaged, or the disk is full.
+        """
+        with self._errors():
+            return self._finish(names)
+
+    def _errors(self) -> AbstractContextManager[None]:
+        return hdf5_errors(self._file.filename, "written", "choose another --out", "delete it, and record it again")
+
+    def _finish(self, names: Sequence[str]) -> tuple[str, list[str]]:
         data = self._data
         if "mask" in self._file:
             del self._file["mask"]

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,9 @@ class WeightsError(InputError):
 def read_bytes(path: str | Path, largest: int) -> bytes:
     """The file's content; raises WeightsError where it cannot be read, or has more than `largest` bytes."""
     try:
-        if (size := os.stat(path).st_size) > largest:
+        if not stat.S_ISREG((found := os.stat(path)).st_mode):
+            raise WeightsError(path, "is a folder, a pipe or a device, no weight file", RETRAIN)
+        if (size := found.st_size) > largest:
             raise WeightsError(path, f"has {size} bytes, more than the {largest} of a weight file", RETRAIN)
         return Path(path).read_bytes()
     except FileNotFoundError as error:

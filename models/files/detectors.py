@@ -45,14 +45,19 @@ def load_detector(path: str | Path, detector: str) -> StoredDetector:
     return StoredDetector(detector, arrays, header["calibrations"], header["metadata"])
 
 
-def calibration_of(path: str | Path, stored: StoredDetector, policy_hash: str) -> dict[str, Any]:
-    """The calibration for the policy with that file hash; raises WeightsError if there is none, or not a whole one."""
-    calibrations, short = stored.calibrations, policy_hash[:12]
+def calibration_of(
+    path: str | Path, stored: StoredDetector, policy_hash: str, by: str = "baselines.py"
+) -> dict[str, Any]:
+    """The calibration for the policy with that file hash; raises WeightsError if there is none, or not a whole one.
+
+    `by`: the program of diagrams/ that makes it, for the remedy.
+    """
+    calibrations, short, remedy = stored.calibrations, policy_hash[:12], f"Make it with `python diagrams/{by}`"
     found = calibrations.get(policy_hash) if isinstance(calibrations, dict) else None
     if not isinstance(found, dict):
-        raise WeightsError(path, f"has no calibration for the policy whose file has the hash {short}", _REMEDY)
+        raise WeightsError(path, f"has no calibration for the policy whose file has the hash {short}", remedy)
     if absent := {"mean_errors", "beta", "gamma"} - set(found):
-        raise WeightsError(path, f"has a calibration without {' and '.join(sorted(absent))} for {short}", _REMEDY)
+        raise WeightsError(path, f"has a calibration without {' and '.join(sorted(absent))} for {short}", remedy)
     for name, axes, lowest in (("mean_errors", 1, 0.0), ("beta", 0, 0.0), ("gamma", 0, -np.inf)):
         try:
             value = np.asarray(found[name])
@@ -61,5 +66,5 @@ def calibration_of(path: str | Path, stored: StoredDetector, policy_hash: str) -
             value = np.array([np.nan])
         if value.ndim != axes or not value.size or not np.all((value > lowest) & (value < np.inf)):
             wanted = f"{'finite numbers' if axes else 'a finite number'}{'' if lowest else ' above 0'}"
-            raise WeightsError(path, f"has the {name} {found[name]!s:.60} for {short}, not {wanted}", _REMEDY)
+            raise WeightsError(path, f"has the {name} {found[name]!s:.60} for {short}, not {wanted}", remedy)
     return found

@@ -30,7 +30,7 @@ def read_tensors(path: str | Path, kind: str, remedy: str) -> tuple[dict[str, np
         with safe_open(path, "np") as file:
             header = dict(json.loads((file.metadata() or {}).get("header", "{}")))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, OSError, TypeError, ValueError) as error:
+    except (RecursionError, SafetensorError, OSError, TypeError, ValueError) as error:
         raise WeightsError(path, f"the weight file is damaged ({error})", remedy) from error
     require_kind(path, header, kind)
     if not all(np.isfinite(value).all() for value in tensors.values() if value.dtype.kind == "f"):

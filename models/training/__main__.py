@@ -41,7 +41,7 @@ def main(options: Any) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:  # a folder that cannot be made, a disk that is full
-        raise InputError(str(error)) from error
+        raise InputError(f"{error}: choose another place, or make room") from error
     return 0
 
 

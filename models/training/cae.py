@@ -8,10 +8,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from models.checks import require_number
 from models.data.demonstrations import content_of, iterate_frames, read_demonstrations, read_header
 from models.files.weights import save_autoencoder
 from models.networks.cae import ConvolutionalAutoencoder, to_image
 from models.training.trainer import Training, TrainingOptions, device_of, fit, prepare, step_generator
+
+
+BATCH_MOST = 4096
 
 
 @dataclass(kw_only=True)
@@ -146,8 +150,9 @@ class CaeTraining(Training):
 
 def train_cae(options: CaeOptions) -> Path:
     """Runs the training and returns the path of the weight file."""
-    options = options.with_precision()
+    require_number("--batch-size", options.batch_size, 2, BATCH_MOST)  # batch norm needs two
     prepare(options)
+    options = options.with_precision()
     frames = load_frames(options.data)
     metadata = {"training": options.as_metadata(), "data_hash": read_header(options.data).content_hash}
     print(f"{len(frames)} training frames, {frames.nbytes / 1e9:.2f} GB; {options.max_images} images to show")

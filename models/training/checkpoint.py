@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from models.checks import require_plain
 from models.errors import InputError
 
 _FREE = {"checkpoint_every", "validate_every"}  # options that change no weight: a training may go on with others
@@ -36,6 +37,7 @@ class Checkpoint:
         """The updates done so far; 0 without a file. A weight file that should be there and is not is written."""
         if not self.path.exists():
             return 0
+        require_plain(self.path, "choose another --out")
         try:
             stored = torch.load(self.path, map_location="cpu", weights_only=True)
             made_with, self.done = dict(stored["made_with"]), int(stored["done"])
@@ -43,8 +45,16 @@ class Checkpoint:
             raise self._unusable(f"not a whole checkpoint of this program ({type(error).__name__})") from error
         refuse_other(self.path, made_with, self.made_with)
         try:
+            if not 0 < self.done <= self.training.steps:
+                raise ValueError(f"its updates, {self.done}, are not 1 to {self.training.steps}")
+            if not all(torch.isfinite(value).all() for value in stored["state"].values()):
+                raise ValueError("a weight is not finite")
+            before = self.optimizer.state_dict()
             self.training.load_state_dict(stored["state"])
             self.optimizer.load_state_dict(stored["optimizer"])
+            _require_alike(before["param_groups"], stored["optimizer"]["param_groups"])
+            for parameter, moments in self.optimizer.state.items():
+                _require_moments(parameter, moments)
         except Exception as error:  # whatever strange content may raise
             raise self._unusable(f"does not fit the network ({' '.join(str(error).split())[:200]})") from error
         due = self.done % self.made_with["checkpoint_every"] == 0 or self.done == self.training.steps
@@ -60,6 +70,22 @@ class Checkpoint:
 
     def _unusable(self, why: str) -> InputError:
         return InputError(f"{self.path}: {why}: delete it to train from the start, or choose another --out")
+
+
+def _require_alike(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> None:
+    """Raises ValueError where the optimizer's options are others; its rate is set at every update."""
+    plain = [[{k: v for k, v in group.items() if k not in ("lr", "initial_lr")} for group in groups] for groups in (before, now)]
+    if plain[0] != plain[1]:
+        raise ValueError("the optimizer has other options")
+
+
+def _require_moments(parameter: Any, moments: dict[str, Any]) -> None:
+    """Raises ValueError unless Adam's moments have the shape of their parameter, and are finite."""
+    for name in ("exp_avg", "exp_avg_sq"):
+        if moments[name].shape != parameter.shape or not torch.isfinite(moments[name]).all():
+            raise ValueError(f"the optimizer's {name} does not fit")
+    if not torch.isfinite(torch.as_tensor(moments["step"])).all():
+        raise ValueError("the optimizer's step is not finite")
 
 
 def refuse_other(path: Path, before: dict[str, Any], now: dict[str, Any]) -> None:

@@ -8,7 +8,15 @@ import numpy as np
 from tqdm import tqdm
 
 from models.data.demonstrations import content_of, iterate_frames, read_demonstrations
+from models.checks import require_plain
 from models.errors import InputError
+
+
+def _checked(features: np.ndarray, ticks: int) -> np.ndarray:
+    """Raises ValueError unless they are finite numbers, a row a tick."""
+    if features.ndim != 2 or features.dtype.kind != "f" or len(features) != ticks or not np.isfinite(features).all():
+        raise ValueError(f"features {features.dtype} {features.shape}, where {ticks} rows of finite numbers are needed")
+    return features
 
 
 def encode_dataset(path: Path, encoder: Any, cache: Path) -> dict[str, np.ndarray]:
@@ -18,16 +26,18 @@ def encode_dataset(path: Path, encoder: Any, cache: Path) -> dict[str, np.ndarra
 
     Raises InputError if `cache` is a file of another kind, or a damaged one: it is not overwritten.
     """
-    names = [demo.name for demo in read_demonstrations(path)]
+    lengths = {demo.name: len(demo.posture) for demo in read_demonstrations(path)}
+    names = list(lengths)
     key = f"{encoder.hash} {content_of(path)}"
+    require_plain(cache, "give another --features")
     if cache.exists():
         try:
             with np.load(cache) as stored:
                 if str(stored["key"]) == key:
-                    return {name: stored[name] for name in names}
+                    return {name: _checked(stored[name], ticks) for name, ticks in lengths.items()}
         except Exception as error:  # whatever reading strange bytes may raise
             raise InputError(
-                f"{cache}: not a whole file of features ({type(error).__name__}): delete it, or give another --features"
+                f"{cache}: not a whole file of features ({type(error).__name__}: {str(error):.200}): delete it, or give another --features"
             ) from error
     frames = tqdm(iterate_frames(path, names), total=len(names), desc="encoding", unit="demonstration", disable=None)
     features = {name: encoder.encode_batch(rgb) for name, rgb in zip(names, frames, strict=True)}

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from models.data.demonstrations import iterate_frames, read_demonstrations
-from models.errors import InputError
+from models.checks import require_apart, require_number
+from models.command_line import require_writable
 from models.inference import Encoder
 
 
@@ -53,8 +54,10 @@ def regress(f_train: np.ndarray, y_train: np.ndarray, f_test: np.ndarray, groups
 
 def run_probe(options: ProbeOptions) -> None:
     """Prints the errors on validation demonstrations, mm, and the accuracy of the vacant spot; writes options.json."""
-    if options.ticks < 1:
-        raise InputError(f"--ticks {options.ticks} is too small: choose 1 or more")
+    require_number("--ticks", options.ticks, 1, 1000)
+    if options.json is not None:
+        require_writable(options.json)
+        require_apart({"--json": options.json}, {"--data": options.data, "--encoder": options.encoder})
     encoder = Encoder(options.encoder)
     parts = {}
     for split in ("train", "valid"):

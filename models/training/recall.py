@@ -111,6 +111,9 @@ def train_recall(options: RecallOptions) -> list[Path]:
     """Trains heads for each candidate in turn; skips those whose policy file is there. Returns the policy files."""
     if options.horizon > LONGEST:
         raise InputError(f"--horizon {options.horizon} is too long: choose at most {LONGEST} ticks")
+    outs = [_out_of(options, path) for path in options.policy]
+    if twice := [path for path, out in zip(options.policy, outs, strict=True) if outs.count(out) > 1]:
+        raise InputError(f"--policy {' '.join(twice)} would be written to one file: give each with an --out of its own")
     encoder, demos = Encoder(options.encoder), read_demonstrations(options.data)
     written = []
     for given in options.policy:
@@ -122,7 +125,7 @@ def train_recall(options: RecallOptions) -> list[Path]:
         policy = load_policy(path)
         if policy.encoder_hash != encoder.hash:
             raise WeightsError(path, f"was trained with another encoder than {options.encoder}", "Give that one")
-        out = options.out / ("policy-" + path.stem.removeprefix("rnn-") + ".onnx")
+        out = _out_of(options, given)
         written.append(out)
         if out.is_file():
             _check_done(out, options, path, policy)
@@ -135,6 +138,11 @@ def train_recall(options: RecallOptions) -> list[Path]:
         fit(RecallTraining(options, packs["train"], policy, out), options, made_from, name=out.stem)
         say_errors(out, policy, packs["valid"])
     return written
+
+
+def _out_of(options: RecallOptions, given: str) -> Path:
+    """The file that is written for a candidate."""
+    return options.out / ("policy-" + Path(given).stem.removeprefix("rnn-") + ".onnx")
 
 
 def say_errors(out: Path, policy: Any, valid: SequencePack) -> None:

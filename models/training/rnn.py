@@ -1,5 +1,6 @@
 """Training of the recurrent network (Eq. 2)."""
 
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -158,12 +159,13 @@ def prepare_sequences(
     }
 
 
-def load_start(path: Path, options: RnnOptions, initial: np.ndarray) -> StoredPolicy:
+def load_start(path: Path, options: RnnOptions, initial: np.ndarray, feature_size: int) -> StoredPolicy:
     """The candidate to train further; raises WeightsError where it was made for something else."""
     started = load_policy(path)
     for what, have, want in (
         ("network", started.rnn.spec, options.rnn),
         ("initial posture", started.initial_posture.round(6).tolist(), initial.round(6).tolist()),
+        ("feature size", started.rnn.feature_size, feature_size),
     ):
         if have != want:
             raise WeightsError(path, f"has the {what} {have}, not {want}", "Give a candidate of that one")
@@ -187,8 +189,14 @@ def train_rnn(options: RnnOptions) -> Path:
         train = [demo for demo in demos if demo.split == "train"]
         scaling = posture_scaling(train, options.scaling_margin, options.least_half_range)
     else:
-        started = load_start(options.start_from, options, initial)
+        started = load_start(options.start_from, options, initial, encoder.feature_size)
         made_from["start_from"] = file_hash(options.start_from)
+        if started.encoder_hash != encoder.hash:
+            print(
+                f"warning: {options.start_from} was trained with another encoder than {options.encoder}: it learns to "
+                "read this one's features",
+                file=sys.stderr,
+            )
         ancestor = {"hash": made_from["start_from"], "encoder_hash": started.encoder_hash}
         metadata["started_from"] = ancestor | started.metadata
         scaling = started.scaling

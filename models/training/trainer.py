@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from models.checks import LARGEST_SEED, require_plain
 from models.errors import InputError
 from models.training.checkpoint import Checkpoint
 
@@ -26,8 +27,14 @@ _LOCAL = {"data", "out", "device", "encoder", "features", "policy", "start_from"
 # Numbers that must be above 0; every other one may be 0.
 _POSITIVE = {"steps", "batch_size", "max_images", "horizon", "checkpoint_every", "validate_every", "knot_ticks"}
 _POSITIVE |= {"scaling_margin", "least_half_range", "closed_finger_ticks"}
-
-LARGEST_SEED = 10**9  # with the number of the update, a generator's seed
+# The most of a number, where that is not MOST: more takes the memory, or no data have it.
+MOST = 10**6
+_MOST = {
+    "seed": LARGEST_SEED, "steps": 10**8, "max_images": 10**9, "checkpoint_every": 10**8, "validate_every": 10**8,
+    "batch_size": 4096, "horizon": 1000, "hidden": 10_000, "rest_ticks": 1000, "carry_ticks": 1000, "shift": 100,
+    "feature_noise": 100, "noise": 100, "joint_noise": 100, "feature_slow_noise": 100, "colour": 100,
+    "learning_rate": 100, "final_rate": 100, "scaling_margin": 100, "least_half_range": 100,
+}  # fmt: skip
 
 
 @dataclass(kw_only=True)
@@ -50,8 +57,6 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         require_in_range(asdict(self))
-        if self.seed > LARGEST_SEED:
-            raise InputError(f"--seed {self.seed} is too large: choose at most {LARGEST_SEED}")
 
     def as_metadata(self) -> dict[str, Any]:
         """The options for a weight file, without what belongs to this machine."""
@@ -59,16 +64,19 @@ class TrainingOptions:
 
 
 def require_in_range(options: dict[str, Any], prefix: str = "--") -> None:
-    """Raises InputError for a number that is not finite, negative, 0 in _POSITIVE, or no probability by its name."""
+    """Raises InputError for a number that is not finite, negative, 0 in _POSITIVE, too large, or no probability."""
     for name, value in options.items():
         if isinstance(value, dict):
             require_in_range(value, f"{prefix}{name}.")
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            least, most = int(name in _POSITIVE), 1 if "probability" in name or name == "carry_over" else math.inf
+            least = int(name in _POSITIVE)
+            most = 1 if "probability" in name or name == "carry_over" else _MOST.get(name, MOST)
             low = value <= 0 if least else value < 0
+            option = f"{prefix}{name}".replace("_", "-")
+            if value > most > 1 and math.isfinite(value):
+                raise InputError(f"{option} {value} is too large: choose at most {most}")
             if low or not math.isfinite(value) or value > most:
                 words = "above 0" if least else "from 0 to 1" if most == 1 else "0 or more"
-                option = f"{prefix}{name}".replace("_", "-")
                 raise InputError(f"{option} {value} is out of range: choose a number {words}")
 
 
@@ -115,6 +123,16 @@ def device_of(options: TrainingOptions) -> str:
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
+def require_device(device: str) -> None:
+    """Raises InputError for a device that torch does not know, or that cannot compute."""
+    try:
+        if torch.zeros(1, device=device).item():
+            raise RuntimeError("it does not compute")
+    except Exception as error:  # torch has a class of its own for each device that is not there
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"--device {device} cannot be used ({reason:.200}): choose auto, or cpu") from error
+
+
 def step_generator(seed: int, step: int) -> torch.Generator:
     """The random generator of one update."""
     return torch.Generator().manual_seed(seed * 1_000_003 + step)
@@ -132,23 +150,22 @@ def fit(
         log_every: updates between rows of the log.
 
     Raises:
-        InputError: the checkpoint is damaged or of another training; the loss or a weight is not finite; there is no
-            such device.
+        InputError: the checkpoint is damaged or of another training; the loss or a weight is not finite.
         SystemExit: 143 after SIGTERM, with a checkpoint of the last whole update.
     """
-    device = device_of(options)
-    try:
-        training.train().to(device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"--device {device} cannot be used ({reason}): choose auto, or cpu") from error
+    training.train().to(device_of(options))
     parameters = [parameter for parameter in training.parameters() if parameter.requires_grad]
     optimizer = torch.optim.Adam(parameters, training.learning_rate, fused=True)
     checkpoint = Checkpoint(options.out / f"{name}.ckpt", training, optimizer, options.as_metadata() | made_from)
     log, validation_log = (options.out / f"{name}{ending}.csv" for ending in ("", "-validation"))
     start, steps = checkpoint.load(), training.steps
     for path in (log, validation_log):
-        _drop_rows(path, start)
+        require_plain(path, "delete it, or choose another --out")
+        try:
+            _drop_rows(path, start)
+        except ValueError as error:
+            words = " ".join(str(error).split())
+            raise InputError(f"{path} is no log of a training ({words}): delete it, or choose another --out") from error
     if start == steps:
         print(f"{checkpoint.path}: all {start} updates are done")
     bar = tqdm(range(start, steps), initial=start, total=steps, disable=None)
@@ -208,8 +225,15 @@ def _drop_rows(path: Path, done: int) -> None:
 
 
 def prepare(options: TrainingOptions) -> None:
-    """The output folder and the seed; large freed blocks of memory are kept."""
-    options.out.mkdir(parents=True, exist_ok=True)
+    """The output folder, the device and the seed; large freed blocks of memory are kept.
+
+    Raises InputError for a folder that cannot be made, and a device that there is not.
+    """
+    require_device(device_of(options))
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{options.out} cannot be made ({error.strerror}): choose another --out") from error
     with suppress(OSError, AttributeError):  # glibc alone has it; another C library is only slower
         # To hand them back to the kernel after every update costs time.
         libc = ctypes.CDLL("libc.so.6")

@@ -364,7 +364,7 @@ def sweeps(bases: Bases) -> st.SearchStrategy[Case]:
     def cases(draw: Any) -> Case:
         program, argv, files, name = draw(st.sampled_from(readers))
         files = needed(bases, ("weights",)) | files
-        inside = {"jsonl": _lines, "uet": _parquet, "json": _report}[name[-5:].rsplit(".")[-1]]
+        inside = {"jsonl": _lines, "parquet": _parquet, "json": _report}[name.rsplit(".")[-1]]
         files[name] = draw(changed(files[name], inside, (bases.candidate,)))
         if program == "sweep":  # its folder is its own
             files = {("out" + n.removeprefix("sweep") if n.startswith("sweep/") else n): c for n, c in files.items()}
