@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tyro
 
 from diagrams.episodes.calibration import UNFITTED, Calibration, Controller, detector_file, make_detector, never_fires

@@ -21,6 +21,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import Scenario, load_world
+from models.checks import require_one_of
 from models.command_line import require, require_writable, run
 from models.errors import InputError
 
@@ -52,6 +53,7 @@ class LiveArguments(Scenario):
 def parse(arguments: list[str] | None = None) -> LiveArguments:
     """Command line over world file over defaults."""
     cli = tyro.cli(LiveArguments, args=arguments, description=__doc__)
+    require_one_of(arguments, "--rnn", "--policy")
     if cli.world_file is not None:
         default = LiveArguments(world=load_world(cli.world_file))
         cli = tyro.cli(LiveArguments, args=arguments, default=default, description=__doc__)

@@ -22,7 +22,7 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world
-from models.checks import require_apart
+from models.checks import require_apart, require_one_of
 from models.command_line import require, require_writable, run
 from models.errors import InputError
 
@@ -60,6 +60,7 @@ class PickPlaceArguments(Scenario):
 def parse(arguments: list[str] | None = None) -> PickPlaceArguments:
     """Command line over scenario file over world file over defaults."""
     cli = tyro.cli(PickPlaceArguments, args=arguments, description=__doc__)
+    require_one_of(arguments, "--rnn", "--policy")
     if cli.scenario is not None or cli.world_file is not None:
         world = load_world(cli.world_file)
         loaded = Scenario(world=world) if cli.scenario is None else load_scenario(cli.scenario, world)
@@ -95,9 +96,9 @@ def main(cli: PickPlaceArguments) -> int:
     asked = {f"--{name}": path for name in formats if (path := getattr(cli, name)) is not None}
     require_apart(asked, {"--scenario": cli.scenario, "--world": cli.world_file})
     written = list(asked.values())
-    for (option, path), endings in zip(asked.items(), (formats[option[2:]] for option in asked), strict=True):
-        if path.suffix not in endings:
-            names = ", ".join(endings)
+    for option, path in asked.items():
+        if path.suffix not in formats[option[2:]]:
+            names = ", ".join(formats[option[2:]])
             raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
     if cli.mcap is not None:
         require("foxglove")

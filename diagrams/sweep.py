@@ -22,6 +22,7 @@ from diagrams.episodes.store import RowStore
 from diagrams.sweeps.plan import SweepArguments, plan
 from diagrams.sweeps.task import FILES, HASHES, Task, error_row, run_task
 from diagrams.world.scenario import load_world
+from models.checks import require_one_of
 from models.command_line import require, run
 from models.errors import InputError
 from models.files.container import write_bytes
@@ -31,7 +32,9 @@ ROWS = "rows.jsonl"  # in the folder --out
 
 def parse(arguments: list[str] | None = None) -> SweepArguments:
     """The command line."""
-    return tyro.cli(SweepArguments, args=arguments, description=__doc__)
+    parsed = tyro.cli(SweepArguments, args=arguments, description=__doc__)
+    require_one_of(arguments, "--rnn", "--policy")
+    return parsed
 
 
 def workers(arguments: SweepArguments, names: list[str], most: int) -> tuple[Any, Callable[[Task], dict]]:
@@ -58,11 +61,21 @@ def main(arguments: SweepArguments) -> int:
     with RowStore(out / ROWS, fingerprint(world)) as store:
         rows = store.rows
         for task in tasks:
-            if task.key in rows and any(rows[task.key][name] != getattr(task, name) for name in HASHES):
+            if isinstance(rows.get(task.key), dict) and any(
+                rows[task.key].get(name) != getattr(task, name) for name in HASHES
+            ):
                 raise InputError(
                     f"{out} holds episodes of other weights than {arguments.weights} has now: choose another --out"
                 )
-        again = {key for key, row in rows.items() if arguments.retry_errors and row["error"]}
+        from diagrams.sweeps.table import require_rows
+
+        require_rows(out / ROWS, rows)
+        if more := rows.keys() - {task.key for task in tasks}:
+            raise InputError(
+                f"{out} holds {len(more)} episodes that are not asked for, such as {min(more)}, and its table and summary "
+                "would lose them: ask for them too, or choose another --out"
+            )
+        again = {task.key for task in tasks if task.key in rows and _again(arguments, task, rows[task.key])}
         missing = [task for task in tasks if task.key not in rows or task.key in again]
         if missing:
             done = len(tasks) - len(missing)
@@ -80,12 +93,14 @@ def main(arguments: SweepArguments) -> int:
     if lost:
         print(f"{len(lost)} episodes were given up by the cluster: start again with the same --out", file=sys.stderr)
         return 1
-    for folder, suffix in FILES.items():
-        asked = [task for task in tasks if folder in task.files and not rows[task.key]["error"]]
-        if none := sum(not (out / folder / f"{task.key}{suffix}").is_file() for task in asked):
-            words = f"{none} of {len(asked)} episodes, run before, have no file in {out / folder}"
-            print(f"warning: {words}: for these choose another --out", file=sys.stderr)
     return finish(arguments, [rows[task.key] for task in tasks])
+
+
+def _again(arguments: SweepArguments, task: Task, row: dict[str, Any]) -> bool:
+    """Whether an episode that was run is run again: it raised an error, or a file is asked for that it has not."""
+    if row["error"]:
+        return arguments.retry_errors
+    return any(not (arguments.out / folder / f"{task.key}{FILES[folder]}").is_file() for folder in task.files)
 
 
 def finish(arguments: SweepArguments, rows: list[dict[str, Any]]) -> int:

@@ -1,6 +1,7 @@
 """Checks of what a user gives, before any work is done for it: numbers, files that are read, files that are written."""
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,3 +48,13 @@ def require_apart(written: Mapping[str, Path | None], read: Mapping[str, Path | 
             continue
         if (other := seen.setdefault(path.resolve(), option)) != option:
             raise InputError(f"{option} {path} is the file of {other} too: choose another name")
+
+
+def require_one_of(words: Sequence[str] | None, *options: str) -> None:
+    """Raises InputError where a command line, `words` or the process's own, gives more than one of `options`.
+
+    What an option says by default cannot be told from what it is given.
+    """
+    given = {word.split("=")[0] for word in (sys.argv[1:] if words is None else words)}
+    if len(both := [option for option in options if option in given]) > 1:
+        raise InputError(f"{' and '.join(both)} are given: leave one out")

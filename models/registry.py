@@ -1,6 +1,7 @@
 """Registries: the one list of the networks, of the detectors, of the policies, by name; open to other packages."""
 
 import importlib
+import re
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from typing import Generic, TypeVar
@@ -9,6 +10,7 @@ from models.command_line import EXTRAS
 from models.errors import InputError
 
 T = TypeVar("T")
+_NAME = re.compile(r"[\w+][\w.+-]{0,99}")
 
 
 class Registry(Generic[T]):
@@ -45,6 +47,11 @@ class Registry(Generic[T]):
             raise InputError(wrong) from error
         if not isinstance(getattr(entry, "name", None), str):
             raise InputError(f"the {self.what} '{spec}' has no attribute `name`: give it a short one")
+        if not _NAME.fullmatch(entry.name):
+            raise InputError(
+                f"the {self.what} '{spec}' has the name '{entry.name}': files have it, give it letters, digits, _ . + and - "
+                "alone"
+            )
         if spec in known and entry.name != spec:
             wrong = f"the {self.what} '{spec}' calls itself '{entry.name}': give both one name"
             raise InputError(wrong)

@@ -109,7 +109,7 @@ def _require_whole(record: Record, outcome: dict) -> None:
         fits = array.ndim == axes or (name == "pictures" and not shots)
         if not fits or len(array) != rows or array.dtype.kind not in kinds or not np.isfinite(array).all():
             raise ValueError(f"{name} is {array.dtype} {array.shape} of {ticks} ticks: finite rows are needed")
-        if name in _WIDTHS and array.shape[1] != _WIDTHS[name] or np.abs(array).max(initial=0) > 1e15:
+        if (name in _WIDTHS and array.shape[1] != _WIDTHS[name]) or np.abs(array).max(initial=0) > 1e15:
             raise ValueError(f"{name} is {array.shape} of numbers up to {np.abs(array).max(initial=0):g}")
     if not ticks or np.any(np.diff(record.time) <= 0) or np.any((record.alpha < 0) | (record.alpha > 1)):
         raise ValueError("it has no ticks, or time or alpha are none")
@@ -119,8 +119,8 @@ def _require_whole(record: Record, outcome: dict) -> None:
         raise ValueError("an event has no time")
     if absent := [name for name in _OUTCOME if name not in outcome]:
         raise ValueError(f"the outcome has no {', '.join(absent)}")
-    for name, kinds in _OUTCOME.items():
-        if not isinstance(outcome[name], kinds):
+    for name, types in _OUTCOME.items():
+        if not isinstance(outcome[name], types):
             raise ValueError(f"the outcome has the {name} {outcome[name]!s:.60}")
 
 

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, Self
 
+from models.checks import require_plain
 from models.errors import InputError
 
 FIRST = b'{"fingerprint": '  # how such a file begins
@@ -25,6 +26,7 @@ class RowStore:
         """
         self.path, self.rows = path, dict[str, Any]()
         fingerprint = json.loads(json.dumps(fingerprint))
+        require_plain(path, f"choose another {option}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("a+b")
@@ -58,7 +60,7 @@ class RowStore:
                     self.rows[entry["key"]] = entry["row"]
             except InputError:
                 raise
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
                 # Without its first line, which says what the rows were made with, none of them is of use.
                 remedy = f"delete that line, or choose another {option}" if number > 1 else f"choose another {option}"
                 raise InputError(f"{path} is damaged in line {number}: {remedy}") from error

@@ -17,7 +17,9 @@ from typing import Any, ClassVar
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.store import FIRST
 from diagrams.hybrid.common import Arguments
+from diagrams.hybrid.cycle_reports import require_counts, require_reports, require_rows
 from diagrams.hybrid.return_proof import bound, holds
+from models.checks import require_plain
 from models.errors import InputError
 
 EPISODES, ROWS = "episodes.parquet", "rows.jsonl"  # of a sweep
@@ -52,9 +54,12 @@ class Cycle(Arguments):
     def _read(self, name: str) -> dict[str, Any]:
         path = self.out / f"{name}.json"
         try:
-            report = dict(json.loads(path.read_text()))
+            require_plain(path)
+            report = json.loads(path.read_text())
+            if not isinstance(report, dict) or "seed" not in report:
+                raise ValueError("no report")
             seed = report["seed"]
-        except (KeyError, OSError, TypeError, ValueError) as error:
+        except (OSError, RecursionError, ValueError) as error:
             raise InputError(
                 f"{path} cannot be read: run `analysis.py {name} --out {self.out}` first, or choose another --out"
             ) from error
@@ -66,12 +71,13 @@ class Cycle(Arguments):
         """Of the sweep."""
         path = self.sweep / ROWS
         try:
+            require_plain(path)
             with path.open("rb") as file:
                 line = file.readline()
             if not line.startswith(FIRST):
                 raise ValueError("no fingerprint")
             return dict(json.loads(line)["fingerprint"])
-        except (OSError, TypeError, ValueError) as error:
+        except (OSError, RecursionError, TypeError, ValueError) as error:
             raise InputError(f"{path} is no sweep's: give the folder of a finished one with --sweep") from error
 
     def _rows(self) -> list[dict[str, Any]]:
@@ -86,7 +92,7 @@ class Cycle(Arguments):
             raise InputError(f"there is no {path}: give the folder of a finished sweep with --sweep")
         try:
             frame = pd.read_parquet(path)
-        except (OSError, ValueError) as error:
+        except Exception as error:  # pyarrow has a dozen, of strange bytes
             raise InputError(f"{path} cannot be read: run the sweep's command again, it makes it anew") from error
         return [
             {
@@ -101,10 +107,11 @@ class Cycle(Arguments):
 def require_one_world(fingerprints: dict[str, dict[str, Any] | None]) -> None:
     """Raises InputError unless all, by what they are of, are of one world and of the same versions."""
     (first, reference), *others = fingerprints.items()
-    if reference is None or any(entry is None for _, entry in others):
+    if not all(isinstance(entry, dict) for entry in fingerprints.values()):
         raise InputError("a report has no fingerprint: it is of another version, run `return` and `resume` again")
     for name, entry in others:
         assert entry is not None
+        assert reference is not None
         for key in sorted((reference.keys() | entry.keys()) - {CODE}):
             if reference.get(key) != entry.get(key):
                 raise InputError(
@@ -124,35 +131,30 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
     Raises InputError where a report is of another version, an episode raised an error, or the sweep lacks the network
     or a kind of disturbance.
     """
-    try:
-        rule = resumed["rules"][resumed["rule"]]
-        ours = [
-            row for row in rows
-            if (row["weights_hash"], row["detector"], row["gamma"]) == (resumed["policy"], "recall", None)
-            and (row["success"] is not None or row["void"])  # not one that ends with the switching
-        ]  # fmt: skip
-        if errors := sum(row["error"] is not None for row in ours):
-            raise InputError(f"{errors} episodes of the sweep raised an error: run it with --retry-errors")
-        undisturbed = [row for row in ours if row["disturbance"] == "none"]
-        disturbed = [row for row in ours if row["disturbance"] in ("A", "B") and not row["void"]]
-        disturbed = [row for row in disturbed if not row["false_switches"]]
-        if not undisturbed or not disturbed:
-            raise InputError(
-                "the sweep has no undisturbed, or no disturbed, episodes of the network that `resume` looked at: run "
-                "diagrams/sweep.py with it under --disturbance none A B"
-            )
-        arrows = _arrows(returned, rule, undisturbed, disturbed)
-        dwell, certificate_holds = _dwell(returned, disturbed), holds(returned)
-        noticed = [row for row in disturbed if row["detection_delay_s"] is not None]
-        home = [row for row in noticed if row["returned"]]
-        way_home = _against("way home", arrows, noticed, "returned")
-        resumption = _against("reset and resumption", arrows, home, "resumed")
-    except InputError:
-        raise
-    except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+    require_reports(returned, resumed)
+    require_rows(rows)
+    rule = resumed["rules"][resumed["rule"]]
+    ours = [
+        row for row in rows
+        if (row["weights_hash"], row["detector"], row["gamma"]) == (resumed["policy"], "recall", None)
+        and (row["success"] is not None or row["void"])  # not one that ends with the switching
+    ]  # fmt: skip
+    if errors := sum(row["error"] is not None for row in ours):
+        raise InputError(f"{errors} episodes of the sweep raised an error: run it with --retry-errors")
+    undisturbed = [row for row in ours if row["disturbance"] == "none"]
+    disturbed = [row for row in ours if row["disturbance"] in ("A", "B") and not row["void"]]
+    disturbed = [row for row in disturbed if not row["false_switches"]]
+    if not undisturbed or not disturbed:
         raise InputError(
-            f"the reports do not fit ({error}): they are of another version, run `return`, `resume` and the sweep again"
-        ) from error
+            "the sweep has no undisturbed, or no disturbed, episodes of the network that `resume` looked at: run "
+            "diagrams/sweep.py with it under --disturbance none A B"
+        )
+    arrows = _arrows(returned, rule, undisturbed, disturbed)
+    dwell, certificate_holds = _dwell(returned, disturbed), holds(returned)
+    noticed = [row for row in disturbed if row["detection_delay_s"] is not None]
+    home = [row for row in noticed if row["returned"]]
+    way_home = _against("way home", arrows, noticed, "returned")
+    resumption = _against("reset and resumption", arrows, home, "resumed")
     return {
         "certificate_holds": certificate_holds,
         "rule": resumed["rule"],
@@ -210,6 +212,8 @@ def _arrows(
         ("no later switch", "task", "task", count(resumed, lambda row: row["later_switches"] > 0),
          "disturbed episodes of the sweep that resumed"),
     )  # fmt: skip
+    for name, _, _, (n, failures), _ in entries:
+        require_counts(name, failures, n)
     return [
         {"name": name, "from": begin, "to": end, "samples": n, "failures": failures, "bound": bound(failures, n),
          "what": what}

@@ -16,7 +16,7 @@ from diagrams.episodes.calibration import Controller
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import MOST_WORKERS, Pool
 from diagrams.episodes.runner import Job
-from diagrams.episodes.sampling import SEEDS_APART, SEED_BLOCKS, EpisodeSampler, episode_seeds
+from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, EpisodeSampler, episode_seeds
 from diagrams.episodes.space import EpisodeSpace
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.common import NetworkArguments

@@ -11,7 +11,7 @@ from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import MOST_WORKERS, Pool
 from diagrams.episodes.record import Record, record_hash
 from diagrams.episodes.runner import Job, run_episode
-from diagrams.episodes.sampling import SEEDS_APART, SEED_BLOCKS, EpisodeSampler, episode_seeds
+from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, EpisodeSampler, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.episodes.switching import DEFEATS
 from diagrams.hybrid.common import NetworkArguments

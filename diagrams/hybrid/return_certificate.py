@@ -45,7 +45,12 @@ class Return(Arguments):
     workers: int = 2
 
     NAME: ClassVar[str] = "return"
-    RANGES: ClassVar[dict[str, Range]] = {"seed": (0, SEED_BLOCKS - 1), "samples": (1, 10**6), "draws": (1, 9000), "workers": (0, MOST_WORKERS)}
+    RANGES: ClassVar[dict[str, Range]] = {
+        "seed": (0, SEED_BLOCKS - 1),
+        "samples": (1, 10**6),
+        "draws": (1, 9000),
+        "workers": (0, MOST_WORKERS),
+    }
 
     def run(self) -> int:
         """Makes and tests the certificate; returns 0 if the simulations bear it out, else 1."""

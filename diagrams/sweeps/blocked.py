@@ -25,11 +25,10 @@ def require_takes_arm(kinds: list[str]) -> None:
 def blocked_seeds(world: World, purpose: str, seed: int, count: int, kind: str, workers: int) -> list[int]:
     """The first `count` seeds of `episode_seeds` whose straight way home from a disturbance `kind` touches something.
 
-    Raises InputError for a kind that does not take the arm, or where fewer are blocked.
+    Raises InputError where fewer are blocked; `kind`: see `require_takes_arm`.
     """
     from tqdm import tqdm
 
-    require_takes_arm([kind])
     seeds, found = episode_seeds(purpose, seed, SEEDS_APART), list[int]()
     each = BATCH * max(workers, 1)
     with Pool(workers) as pool, tqdm(total=count, desc=f"blocked ways home, {kind}", leave=False, disable=None) as bar:

@@ -33,7 +33,35 @@ _OWN = {
 # Of a type such as float | None the first is what the column holds.
 _OUTCOME = {name: _TYPES.get(kind) or _TYPES[get_args(kind)[0]] for name, kind in get_type_hints(Outcome).items()}
 SCHEMA = pa.schema(_OUTCOME | _OWN)
+_KNOWN = (
+    "rnn",
+    "training_seed",
+    "detector",
+    "gamma",
+    "disturbance",
+    "seed",
+    "weights_hash",
+    "success",
+    "void",
+    "error",
+)
 _EPISODE = ["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]
+
+
+def require_rows(path: Path, rows: dict[str, Any]) -> None:
+    """Raises InputError unless the `rows` of the file `path`, by key, make a table: all columns, of their types.
+
+    Of an episode that raised an error only what was known before it was run.
+    """
+    for key, row in rows.items():
+        try:
+            absent = set(SCHEMA.names if row["error"] is None else _KNOWN) - row.keys()
+            if absent:
+                raise ValueError(f"no {', '.join(sorted(absent))}")
+            pa.Table.from_pylist([row], schema=SCHEMA)
+        except Exception as error:  # pyarrow has a class of its own for each type
+            words = " ".join(str(error).split())[:200]
+            raise InputError(f"{path} has a row that is none, {key} ({words}): choose another --out") from error
 
 
 def write_table(folder: Path, rows: list[dict[str, Any]]) -> Path:
@@ -43,6 +71,14 @@ def write_table(folder: Path, rows: list[dict[str, Any]]) -> Path:
     pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial)
     partial.replace(path)
     return path
+
+
+def _alike(found: pa.DataType, wanted: pa.DataType) -> bool:
+    """Whether a column of one type can stand for the other: pandas makes floats of whole numbers with gaps."""
+    for kinds in ((pa.types.is_integer, pa.types.is_floating), (pa.types.is_string, pa.types.is_large_string)):
+        if any(is_kind(wanted) for is_kind in kinds):
+            return any(is_kind(found) for is_kind in kinds)
+    return found == wanted
 
 
 def read_tables(folders: list[Path]) -> pd.DataFrame:
@@ -58,13 +94,25 @@ def read_tables(folders: list[Path]) -> pd.DataFrame:
             raise InputError(f"{path} does not exist: run diagrams/sweep.py with --out {folder}, to its end")
         try:
             table = pd.read_parquet(path)
-        except (OSError, ValueError) as error:  # pyarrow's errors are ValueErrors
-            raise InputError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
+        except Exception as error:  # of strange bytes pyarrow and pandas raise a dozen types
+            words = " ".join(str(error).split())[:200]
+            raise InputError(f"{path} is damaged ({words}): delete it, and run the sweep again") from error
         missing = [name for name in SCHEMA.names if name not in table.columns and name != "traceback"]
         if missing:
             raise InputError(
                 f"{path} has no column {', '.join(missing)}, another version of sweep.py wrote it: "
                 "run the sweep again, with another --out"
+            )
+        try:
+            whole = pa.Table.from_pandas(table[[n for n in SCHEMA.names if n in table.columns]], preserve_index=False)
+            names = [name for name in whole.column_names if not pa.types.is_null(whole.schema.field(name).type)]
+            other = [name for name in names if not _alike(whole.schema.field(name).type, SCHEMA.field(name).type)]
+        except Exception as error:
+            raise InputError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
+        if other:
+            raise InputError(
+                f"{path} has another type in the column {', '.join(other)}, another version of sweep.py wrote it: run the "
+                "sweep again, with another --out"
             )
         tables.append(table.astype(object))
     rows = pd.concat(tables, ignore_index=True).infer_objects()

@@ -74,7 +74,7 @@ def _require_fits(hint: Any, value: Any, where: str) -> None:
         if value is None:
             return
         [hint] = [part for part in get_args(hint) if part is not type(None)]
-    told = f"{where or 'it'} is {str(value):.60}"
+    told = f"{where or 'it'} is {value!s:.60}"
     if dataclasses.is_dataclass(hint):
         if not isinstance(value, dict):
             raise ValueError(f"{told}, where keys of its own belong")

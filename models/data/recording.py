@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from models.checks import require_plain
 from models.data.demonstrations import SPLITS, Demonstration, hdf5_errors, number_of
 from models.errors import InputError
 
@@ -48,6 +49,7 @@ class RecordingFile(AbstractContextManager):
         text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
         damaged = "if a kill in the middle of a write broke it, delete it"
         with hdf5_errors(path, "written", "choose another --out", damaged):
+            require_plain(path, "choose another --out")
             path.parent.mkdir(parents=True, exist_ok=True)
             if not path.exists():  # begun under another name: a kill leaves no half of a file
                 begun = path.with_name(f"{path.name}.part")

@@ -42,6 +42,9 @@ def load_detector(path: str | Path, detector: str) -> StoredDetector:
         raise WeightsError(path, f"holds the detector {header.get('method')!r}, not {detector!r}", _REMEDY)
     if absent := {"calibrations", "metadata"} - set(header):
         raise WeightsError(path, f"has no {' and no '.join(sorted(absent))} in its header", _REMEDY)
+    for name in ("calibrations", "metadata"):
+        if not isinstance(header[name], dict):
+            raise WeightsError(path, f"has the {name} {header[name]!s:.60} in its header, no map", _REMEDY)
     return StoredDetector(detector, arrays, header["calibrations"], header["metadata"])
 
 
@@ -58,7 +61,7 @@ def calibration_of(
         raise WeightsError(path, f"has no calibration for the policy whose file has the hash {short}", remedy)
     if absent := {"mean_errors", "beta", "gamma"} - set(found):
         raise WeightsError(path, f"has a calibration without {' and '.join(sorted(absent))} for {short}", remedy)
-    for name, axes, lowest in (("mean_errors", 1, 0.0), ("beta", 0, 0.0), ("gamma", 0, -np.inf)):
+    for name, axes, lowest in (("mean_errors", 1, 0.0), ("beta", 0, 0.0), ("gamma", 0, 0.0)):
         try:
             value = np.asarray(found[name])
             value = value.astype(float) if value.dtype.kind in "iuf" else np.array([np.nan])

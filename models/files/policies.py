@@ -9,8 +9,9 @@ import numpy as np
 from models.data.scaling import MinMaxScaling
 from models.files.container import WeightsError
 from models.files.graphs import REMEDY, Graph, read_graph, write_graph
+from models.networks import NETWORKS
 
-_POSITIVE = ("mean_errors", "beta")
+_POSITIVE = ("mean_errors", "beta", "gamma")
 
 
 @dataclass(kw_only=True)
@@ -59,6 +60,9 @@ class PolicyFacts:
             for name, kind in (("name", str), ("encoder_hash", str), ("metadata", dict), ("torch", dict | None)):
                 if not isinstance(getattr(facts, name), kind):
                     raise ValueError(f"{name} is {getattr(facts, name)!r}")
+            spec = (facts.torch or {}).get("rnn")
+            if spec in list(NETWORKS) and spec != facts.name:
+                raise ValueError(f"it calls the network '{spec}' '{facts.name}'")
         except (KeyError, OverflowError, TypeError, ValueError) as error:
             raise WeightsError(path, f"its header does not describe a policy ({error})", REMEDY) from error
         return facts

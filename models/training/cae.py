@@ -14,7 +14,6 @@ from models.files.weights import save_autoencoder
 from models.networks.cae import ConvolutionalAutoencoder, to_image
 from models.training.trainer import Training, TrainingOptions, device_of, fit, prepare, step_generator
 
-
 BATCH_MOST = 4096
 
 

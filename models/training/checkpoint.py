@@ -74,7 +74,10 @@ class Checkpoint:
 
 def _require_alike(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> None:
     """Raises ValueError where the optimizer's options are others; its rate is set at every update."""
-    plain = [[{k: v for k, v in group.items() if k not in ("lr", "initial_lr")} for group in groups] for groups in (before, now)]
+    plain = [
+        [{k: v for k, v in group.items() if k not in ("lr", "initial_lr")} for group in groups]
+        for groups in (before, now)
+    ]
     if plain[0] != plain[1]:
         raise ValueError("the optimizer has other options")
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from models.data.demonstrations import content_of, iterate_frames, read_demonstrations
 from models.checks import require_plain
+from models.data.demonstrations import content_of, iterate_frames, read_demonstrations
 from models.errors import InputError
 
 
@@ -37,7 +37,7 @@ def encode_dataset(path: Path, encoder: Any, cache: Path) -> dict[str, np.ndarra
                     return {name: _checked(stored[name], ticks) for name, ticks in lengths.items()}
         except Exception as error:  # whatever reading strange bytes may raise
             raise InputError(
-                f"{cache}: not a whole file of features ({type(error).__name__}: {str(error):.200}): delete it, or give another --features"
+                f"{cache}: not a whole file of features ({type(error).__name__}: {error!s:.200}): delete it, or give another --features"
             ) from error
     frames = tqdm(iterate_frames(path, names), total=len(names), desc="encoding", unit="demonstration", disable=None)
     features = {name: encoder.encode_batch(rgb) for name, rgb in zip(names, frames, strict=True)}

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from models.data.demonstrations import iterate_frames, read_demonstrations
 from models.checks import require_apart, require_number
 from models.command_line import require_writable
+from models.data.demonstrations import iterate_frames, read_demonstrations
 from models.inference import Encoder
 
 

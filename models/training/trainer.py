@@ -6,6 +6,7 @@ A plain loop, no Lightning: it is shorter than what bent its Trainer to batches 
 import csv
 import ctypes
 import math
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -221,7 +222,9 @@ def _drop_rows(path: Path, done: int) -> None:
     if path.exists():
         header, *rows = path.read_text().splitlines(keepends=True) or [""]
         kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= done]
-        path.write_text("".join([header, *kept]) if kept else "")
+        partial = path.with_name(f"{path.name}.part")
+        partial.write_text("".join([header, *kept]) if kept else "")
+        os.replace(partial, path)
 
 
 def prepare(options: TrainingOptions) -> None:

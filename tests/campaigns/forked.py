@@ -13,6 +13,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -156,10 +157,8 @@ def _wait(pid: int) -> tuple[int, resource.struct_rusage, bool]:
             os.killpg(pid, signal.SIGKILL)
         time.sleep(pause)
         pause = min(pause * 1.3, 0.02)
-    try:
+    with suppress(ProcessLookupError, PermissionError):
         os.killpg(pid, signal.SIGKILL)  # children of the child
-    except (ProcessLookupError, PermissionError):
-        pass
     return status, usage, hung
 
 

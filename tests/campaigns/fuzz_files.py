@@ -46,7 +46,9 @@ def bytes_of(draw: Any, content: bytes, others: tuple[bytes, ...] = ()) -> bytes
     elif what == 10:
         return draw(st.sampled_from([Special("folder"), Special("fifo"), Special("zero")]))
     else:  # a header of a gigabyte, claimed or there
-        claim = draw(st.sampled_from([(2**30).to_bytes(8, "little"), b"\x3a\x80\x80\x80\x80\x04", b"\x80\x80\x80\x80\x04"]))
+        claim = draw(
+            st.sampled_from([(2**30).to_bytes(8, "little"), b"\x3a\x80\x80\x80\x80\x04", b"\x80\x80\x80\x80\x04"])
+        )
         if draw(st.booleans()):
             return Special("sparse", claim + bytes(content[:64]), 2**30 + 64)
         return claim + bytes(content)
@@ -78,7 +80,9 @@ def _onnx(draw: Any, content: bytes) -> bytes:
         elif what == 8:
             tensor.data_type = draw(st.integers(0, 30))
         else:
-            tensor.raw_data = draw(st.sampled_from([b"", b"\0", b"\xff" * len(tensor.raw_data), bytes(len(tensor.raw_data))]))
+            tensor.raw_data = draw(
+                st.sampled_from([b"", b"\0", b"\xff" * len(tensor.raw_data), bytes(len(tensor.raw_data))])
+            )
     return model.SerializeToString()
 
 
@@ -100,7 +104,9 @@ def _safetensors(draw: Any, content: bytes) -> bytes:
     else:
         tensor = outer[draw(st.sampled_from([name for name in outer if name != "__metadata__"]))]
         entry = draw(st.sampled_from(["dtype", "shape", "data_offsets"]))
-        tensor[entry] = draw(st.sampled_from(["F16", "BOOL", "I64", "X", [], [0], [1], [2**40, 8], [0, 2**62], [8, 0], None]))
+        tensor[entry] = draw(
+            st.sampled_from(["F16", "BOOL", "I64", "X", [], [0], [1], [2**40, 8], [0, 2**62], [8, 0], None])
+        )
     text = json.dumps(outer).encode()
     return len(text).to_bytes(8, "little") + text + rest
 
@@ -210,7 +216,9 @@ def _hdf5(draw: Any, content: bytes) -> bytes:
                 elif bent == 4:
                     file[name] = np.zeros(len(value), "S5")
                 elif bent == 5:  # nothing of it is there
-                    file.create_dataset(name, shape=(10**7, *value.shape[1:]), dtype=value.dtype, chunks=(1, *value.shape[1:]))
+                    file.create_dataset(
+                        name, shape=(10**7, *value.shape[1:]), dtype=value.dtype, chunks=(1, *value.shape[1:])
+                    )
                 elif bent == 6:
                     file[name] = h5py.SoftLink(f"/{name}")
                 elif bent == 7:
@@ -224,7 +232,7 @@ def _hdf5(draw: Any, content: bytes) -> bytes:
 
 def demonstrations(bases: Bases) -> st.SearchStrategy[Case]:
     """Data sets, for what learns from them, and for teach.py that would go on with them."""
-    cae = ["cae", "--data", "demos.h5", "--out", "out", "--batch-size", "1", "--max-images", "2"]
+    cae = ["cae", "--data", "demos.h5", "--out", "out", "--batch-size", "2", "--max-images", "2"]
     readers = (
         ("training", cae, ()), ("training", RNN, ("weights",)), ("training", RECALL, ("weights", "candidate")),
         ("training", ["probe", "--data", "demos.h5", "--encoder", "weights/encoder.onnx"], ("weights",)),
@@ -252,7 +260,9 @@ def _npz(draw: Any, content: bytes) -> bytes:
         text = json.loads(str(arrays["text"])) if "text" in arrays and arrays["text"].dtype.kind == "U" else {}
         place = draw(st.sampled_from([text, text.get("outcome", text)]))
         if place:
-            place[draw(st.sampled_from(sorted(place)))] = draw(st.sampled_from([*ODD, [[0.0, 1]], [["x", "y"]], [[1e9, "a"]]]))
+            place[draw(st.sampled_from(sorted(place)))] = draw(
+                st.sampled_from([*ODD, [[0.0, 1]], [["x", "y"]], [[1e9, "a"]]])
+            )
         arrays["text"] = np.array(draw(st.sampled_from([json.dumps(text)] * 5 + ["", "{", "[]", "null"])))
     elif what == 0:
         del arrays[name]
@@ -279,7 +289,10 @@ def _npz(draw: Any, content: bytes) -> bytes:
 
 def records(bases: Bases) -> st.SearchStrategy[Case]:
     """Records, for the figures and the automaton."""
-    readers = (("figures", ["--weights", "weights", "--records", "B.npz"]), ("analysis", ["modes", "--out", "out", "--records", "B.npz"]))
+    readers = (
+        ("figures", ["--weights", "weights", "--records", "B.npz"]),
+        ("analysis", ["modes", "--out", "out", "--records", "B.npz"]),
+    )
 
     @st.composite
     def cases(draw: Any) -> Case:
@@ -403,7 +416,9 @@ def _table(draw: Any, content: bytes) -> bytes:
     lines = content.decode().splitlines()
     number = draw(st.integers(0, len(lines) - 1))
     cells = lines[number].split(",")
-    cells[draw(st.integers(0, len(cells) - 1))] = draw(st.sampled_from(["", "x", "nan", "-1", "1e9", "\u00fc", '"', "3.5"]))
+    cells[draw(st.integers(0, len(cells) - 1))] = draw(
+        st.sampled_from(["", "x", "nan", "-1", "1e9", "\u00fc", '"', "3.5"])
+    )
     lines[number] = ",".join(cells)
     return "\n".join(lines).encode()
 
@@ -426,7 +441,12 @@ def _features(draw: Any, content: bytes) -> bytes:
 
 def checkpoints(bases: Bases) -> st.SearchStrategy[Case]:
     """The folder of a training that was broken off, gone on with."""
-    inside = {"out/rnn.ckpt": _checkpoint, "out/features.npz": _features, "out/rnn.csv": _table, "out/rnn-validation.csv": _table}
+    inside = {
+        "out/rnn.ckpt": _checkpoint,
+        "out/features.npz": _features,
+        "out/rnn.csv": _table,
+        "out/rnn-validation.csv": _table,
+    }
 
     @st.composite
     def cases(draw: Any) -> Case:

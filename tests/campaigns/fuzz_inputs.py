@@ -80,7 +80,7 @@ def programs() -> dict[str, Program]:
             base, needs = [*base, "--sweep", "sweep"], ("reports",)
         found[f"analysis {name}"] = Program(kind, base, needs, (name,))
     bases = {
-        "cae": (["--data", "demos.h5", "--out", "out", "--batch-size", "1", "--max-images", "2"], ("demos",)),
+        "cae": (["--data", "demos.h5", "--out", "out", "--batch-size", "2", "--max-images", "2"], ("demos",)),
         "export": (["--data", "demos.h5", "--autoencoder", "absent", "--out", "out", "--pictures", "2"], ("demos",)),
         "rnn": (RNN[1:], ("weights", "demos")),
         "recall": (RECALL[1:], ("weights", "demos", "candidate")),
@@ -161,7 +161,9 @@ def command_lines(name: str, program: Program, bases: Bases) -> st.SearchStrateg
             strange = draw(st.integers(0, 24))
             option, hint = draw(st.sampled_from(options))
             if strange == 0:
-                words.append(draw(st.sampled_from(["--none-such", "-x", "--", "stray", "--help", "", "-", "--=", option])))
+                words.append(
+                    draw(st.sampled_from(["--none-such", "-x", "--", "stray", "--help", "", "-", "--=", option]))
+                )
                 names = [""]
                 continue
             values = value_of(draw, hint)

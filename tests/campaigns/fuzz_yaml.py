@@ -113,7 +113,9 @@ def documents(draw: Any, kind: str) -> tuple[bytes, tuple[str, ...]]:
         elif what == 7 and isinstance(inner[key], list) and inner[key]:
             inner[key] = _bent(draw, inner[key])
         elif what == 8:
-            inner[f"{key}\0"] = draw(st.sampled_from(["1", str(inner[key]) if not isinstance(inner[key], dict) else "{}"]))
+            inner[f"{key}\0"] = draw(
+                st.sampled_from(["1", str(inner[key]) if not isinstance(inner[key], dict) else "{}"])
+            )
         elif what == 9:
             strange = draw(st.sampled_from(["unknown", f"{key}s", "", "0", "null", "\u00fc", "x" * 2000, "__class__"]))
             inner[strange] = inner.pop(key)

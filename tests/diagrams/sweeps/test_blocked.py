@@ -4,7 +4,7 @@ import pytest
 
 from diagrams.episodes.sampling import episode_seeds
 from diagrams.sweeps import blocked as blocked_module
-from diagrams.sweeps.blocked import blocked_seeds
+from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
 from models.errors import InputError
 
 COUNT = 3
@@ -26,9 +26,9 @@ def test_more_workers_find_the_same(world, first):
 
 
 @pytest.mark.parametrize("kind", ["none", "moved"])
-def test_a_kind_that_does_not_take_the_arm_is_refused(world, kind):
+def test_a_kind_that_does_not_take_the_arm_is_refused(kind):
     with pytest.raises(InputError, match=f"'{kind}' there is no way home .* choose A or B"):
-        blocked_seeds(world, "validation", 9, 1, kind, 0)
+        require_takes_arm(["A", kind])
 
 
 def test_more_than_there_are_is_refused(world, monkeypatch):

@@ -1,0 +1,102 @@
+"""What the cycle reads in the reports of `return` and `resume` and in a sweep, checked before it is used."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from models.errors import InputError
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a value has to be, in words, and whether one is that."""
+
+    words: str
+    fits: Callable[[Any], bool]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+NUMBER = Kind("a number", _is_number)
+NUMBER_OR_NONE = Kind("a number or null", lambda value: value is None or _is_number(value))
+POSITIVE = Kind("a number above 0", lambda value: _is_number(value) and 1e-12 < value < 1e12)
+SHARE = Kind("a number between 0 and 1", lambda value: _is_number(value) and 1e-12 < value < 1.0)
+COUNT = Kind("a whole number from 0 on", lambda value: _is_number(value) and value == int(value) >= 0)
+FLAG = Kind("true or false", lambda value: value in (True, False))
+FLAG_OR_NONE = Kind("true, false or nothing", lambda value: value in (True, False, None))
+WORD = Kind("a word", lambda value: isinstance(value, str))
+
+# A key "*": each there is, at least one.
+_SETS = {
+    "*": {
+        "all": dict.fromkeys(("failures", "left_box", "touches", "failed_or_touched"), COUNT),
+        "free": dict.fromkeys(("contraction_first_measured", "contraction_rate_measured", "max_v_increase"), NUMBER)
+        | {"later_than_certified": COUNT},
+        "contraction_first": POSITIVE, "contraction_rate": SHARE, "nearest_distance_m": NUMBER_OR_NONE,
+        "v_tolerance": NUMBER,
+    }
+}  # fmt: skip
+RETURNED = {
+    "level_at_home": SHARE, "period_s": POSITIVE, "draws": COUNT, "draws_outside": COUNT,
+    "draws_failed_or_touched": COUNT, "samples_inside": COUNT, "sets": _SETS,
+}  # fmt: skip
+RESUMED = {"policy": WORD, "rule": WORD, "rules": {"*": {"*": {"samples": COUNT, "not_resumed": COUNT}}}}
+FINISHED = {"samples": COUNT, "failures": COUNT}
+ROW = dict.fromkeys(("detection_delay_s", "return_s", "resume_s"), NUMBER_OR_NONE)
+ROW |= dict.fromkeys(("success", "void", "returned", "resumed", "switched"), FLAG_OR_NONE)
+# Of every row, whatever came of it.
+COLUMNS = ("weights_hash", "detector", "gamma", "disturbance", "error", "false_switches", "later_switches", *ROW)
+
+
+def require_reports(returned: dict[str, Any], resumed: dict[str, Any]) -> None:
+    """Raises InputError unless the two hold what is read of them."""
+    _require(returned, RETURNED, "return.json")
+    if "box" not in returned["sets"]:
+        _refuse("return.json has no sets.box")
+    _require(resumed, RESUMED, "resume.json")
+    if resumed["rule"] not in resumed["rules"]:
+        _refuse(f"resume.json has no rules.{resumed['rule']}")
+    for kind, entry in resumed["rules"][resumed["rule"]].items():
+        if entry.get("finished") is not None:
+            _require(entry["finished"], FINISHED, f"resume.json {kind}.finished")
+        elif "finished" not in entry:
+            _refuse(f"resume.json has no {kind}.finished")
+
+
+def require_rows(rows: Sequence[dict[str, Any]]) -> None:
+    """Raises InputError unless each row of a sweep has the columns that are read, and what a finished one has."""
+    for number, row in enumerate(rows):
+        if absent := [name for name in COLUMNS if name not in row]:
+            _refuse(f"the sweep's table has no column {', '.join(absent)}")
+        if row["error"] is None:
+            _require(row, ROW, f"row {number} of the sweep's table")
+            for name in ("false_switches", "later_switches"):
+                if row[name] is not None and not COUNT.fits(row[name]):
+                    _refuse(f"row {number} of the sweep's table has the {name} {row[name]!s:.60}, not {COUNT.words}")
+
+
+def require_counts(name: str, failures: int, samples: int) -> None:
+    """Raises InputError for more failures than samples of the arrow `name`."""
+    if failures > samples:
+        _refuse(f"{failures} of {samples} fail on the arrow '{name}'")
+
+
+def _require(value: Any, shape: Any, where: str) -> None:
+    if isinstance(shape, Kind):
+        if not shape.fits(value):
+            _refuse(f"{where} is {value!s:.60}, not {shape.words}")
+        return
+    if not isinstance(value, dict) or not value:
+        _refuse(f"{where} is {value!s:.60}, not a map")
+    for key, inner in shape.items():
+        for name in value if key == "*" else [key]:
+            if name not in value:
+                _refuse(f"{where} has no {name}")
+            _require(value[name], inner, f"{where} {name}")
+
+
+def _refuse(what: str) -> None:
+    raise InputError(f"the reports do not fit ({what}): run `return`, `resume` and the sweep again, of one version")
