@@ -34,8 +34,8 @@ from models.errors import InputError
 from systems.detectors import DETECTORS
 
 RANGES: dict[str, Range] = {
-    "episodes": (1, SEEDS_APART), "disturbed": (1, SEEDS_APART), "trials": (1, SEEDS_APART), "workers": (0, MOST_WORKERS),
-    "factors": (1e-3, 1e3), "betas": (1e-3, 1e6),
+    "episodes": (1, SEEDS_APART), "disturbed": (1, SEEDS_APART), "trials": (1, SEEDS_APART),
+    "workers": (0, MOST_WORKERS), "factors": (1e-3, 1e3), "betas": (1e-3, 1e6),
 }  # fmt: skip
 NOTED = ("seed", "episodes", "disturbed", "trials", "factors", "betas")  # arguments that decide what is written
 

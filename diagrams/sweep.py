@@ -72,8 +72,8 @@ def main(arguments: SweepArguments) -> int:
         require_rows(out / ROWS, rows)
         if more := rows.keys() - {task.key for task in tasks}:
             raise InputError(
-                f"{out} holds {len(more)} episodes that are not asked for, such as {min(more)}, and its table and summary "
-                "would lose them: ask for them too, or choose another --out"
+                f"{out} holds {len(more)} episodes that are not asked for, such as {min(more)}, and its table and "
+                "summary would lose them: ask for them too, or choose another --out"
             )
         again = {task.key for task in tasks if task.key in rows and _again(arguments, task, rows[task.key])}
         missing = [task for task in tasks if task.key not in rows or task.key in again]

@@ -49,8 +49,8 @@ class Registry(Generic[T]):
             raise InputError(f"the {self.what} '{spec}' has no attribute `name`: give it a short one")
         if not _NAME.fullmatch(entry.name):
             raise InputError(
-                f"the {self.what} '{spec}' has the name '{entry.name}': files have it, give it letters, digits, _ . + and - "
-                "alone"
+                f"the {self.what} '{spec}' has the name '{entry.name}': files have it, give it letters, digits, "
+                "_ . + and - alone"
             )
         if spec in known and entry.name != spec:
             wrong = f"the {self.what} '{spec}' calls itself '{entry.name}': give both one name"

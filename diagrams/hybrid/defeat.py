@@ -51,8 +51,8 @@ class Defeat(NetworkArguments):
 
     NAME: ClassVar[str] = "defeat"
     RANGES: ClassVar[dict[str, Range]] = {
-        "seed": (0, SEED_BLOCKS - 1), "population": (1, 10**5), "moves": (1, 1000), "repetitions": (2, 1000), "brute": (0, SEEDS_APART),
-        "workers": (0, MOST_WORKERS),
+        "seed": (0, SEED_BLOCKS - 1), "population": (1, 10**5), "moves": (1, 1000), "repetitions": (2, 1000),
+        "brute": (0, SEEDS_APART), "workers": (0, MOST_WORKERS),
     }  # fmt: skip
 
     def check(self) -> None:

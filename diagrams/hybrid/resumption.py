@@ -49,8 +49,8 @@ class Resume(NetworkArguments):
 
     NAME: ClassVar[str] = "resume"
     RANGES: ClassVar[dict[str, Range]] = {
-        "seed": (0, SEED_BLOCKS - 1), "starts": (1, STARTS_A_SCENE * MOST_SCENES), "compared": (0, STARTS_A_SCENE * MOST_SCENES),
-        "runs": (0, MOST_SCENES), "workers": (0, MOST_WORKERS),
+        "seed": (0, SEED_BLOCKS - 1), "starts": (1, STARTS_A_SCENE * MOST_SCENES), 
+        "compared": (0, STARTS_A_SCENE * MOST_SCENES), "runs": (0, MOST_SCENES), "workers": (0, MOST_WORKERS),
     }  # fmt: skip
 
     def run(self) -> int:

@@ -111,8 +111,8 @@ def read_tables(folders: list[Path]) -> pd.DataFrame:
             raise InputError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
         if other:
             raise InputError(
-                f"{path} has another type in the column {', '.join(other)}, another version of sweep.py wrote it: run the "
-                "sweep again, with another --out"
+                f"{path} has another type in the column {', '.join(other)}, another version of sweep.py wrote it: run "
+                "the sweep again, with another --out"
             )
         tables.append(table.astype(object))
     rows = pd.concat(tables, ignore_index=True).infer_objects()

@@ -36,8 +36,9 @@ def encode_dataset(path: Path, encoder: Any, cache: Path) -> dict[str, np.ndarra
                 if str(stored["key"]) == key:
                     return {name: _checked(stored[name], ticks) for name, ticks in lengths.items()}
         except Exception as error:  # whatever reading strange bytes may raise
+            words = f"{type(error).__name__}: {' '.join(str(error).split()):.200}"
             raise InputError(
-                f"{cache}: not a whole file of features ({type(error).__name__}: {error!s:.200}): delete it, or give another --features"
+                f"{cache}: not a whole file of features ({words}): delete it, or give another --features"
             ) from error
     frames = tqdm(iterate_frames(path, names), total=len(names), desc="encoding", unit="demonstration", disable=None)
     features = {name: encoder.encode_batch(rgb) for name, rgb in zip(names, frames, strict=True)}

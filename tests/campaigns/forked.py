@@ -31,7 +31,7 @@ REMEDY = re.compile(
 
 @dataclass(frozen=True)
 class Special:
-    """A path that is no plain file: kind "fifo", "folder", "zero" (a link to /dev/zero), or "sparse" of `size` bytes."""
+    """No plain file: kind "fifo", "folder", "zero" (a link to /dev/zero) or "sparse": `head`, zeros up to `size` bytes."""
 
     kind: str
     head: bytes = b""

@@ -45,7 +45,8 @@ PROGRAMS = {
 WORK = (
     "diagrams.episodes.pool:Pool.run", "torch.optim:Adam.step", "diagrams.episodes.rollout:Rollout.run",
     "diagrams.episodes.rollout:Rollout.prepare", "diagrams.browser.server:serve", "matplotlib.figure:Figure.savefig",
-    "diagrams.hybrid.switching_point:subtask_images", "models.training.probe:regress", "models.training.export:quantised",
+    "diagrams.hybrid.switching_point:subtask_images", "models.training.probe:regress",
+    "models.training.export:quantised",
 )  # fmt: skip
 BUFFER = 20_000  # bytes of chance a case
 
@@ -63,8 +64,10 @@ class FuzzArguments:
 
 def import_all() -> None:
     """Imports all that the programs import: the children need not."""
-    for name in ("pydrake.all", "torch", "torch._dynamo", "onnx", "pandas", "pyarrow.parquet", "scipy.stats", "sklearn.decomposition",
-                 "sklearn.model_selection", "matplotlib.pyplot", "bokeh.models", "foxglove", "av", "optuna", "cmaes"):  # fmt: skip
+    for name in ("pydrake.all", "torch", "torch._dynamo", "onnx", "pandas", "pyarrow.parquet", "scipy.stats",
+    "sklearn.decomposition",
+                 "sklearn.model_selection", "matplotlib.pyplot", "bokeh.models", "foxglove", "av", "optuna",
+                 "cmaes"):  # fmt: skip
         importlib.import_module(name)
     rooms = [ROOT / "models", ROOT / "systems", ROOT / "diagrams"]
     for path in (path for room in rooms for path in sorted(room.rglob("*.py"))):

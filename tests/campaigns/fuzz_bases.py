@@ -35,7 +35,8 @@ from tests.models import handmade, synthetic
 HORIZON = 10
 SWEEP = ["--episodes", "2", "--disturbance", "A", "--workers", "1"]  # whose rows lie in sweep/
 RNN = [
-    "rnn", "--data", "demos.h5", "--encoder", "weights/encoder.onnx", "--out", "out", "--rnn", "tests.models.outside:Elman",
+    "rnn", "--data", "demos.h5", "--encoder", "weights/encoder.onnx", "--out", "out", "--rnn",
+    "tests.models.outside:Elman",
     "--steps", "4", "--batch-size", "2", "--checkpoint-every", "2", "--validate-every", "2",
 ]  # fmt: skip
 RECALL = [

@@ -1,4 +1,4 @@
-"""Files that are not text: weights, demonstrations, records, sweeps, reports, checkpoints; bytes or contents changed."""
+"""Weights, demonstrations, records, sweeps, reports and checkpoints with their bytes or their contents changed."""
 
 import io
 import json
@@ -14,8 +14,10 @@ from tests.campaigns.fuzz_bases import RECALL, RNN, SWEEP, Bases
 from tests.campaigns.fuzz_inputs import needed
 
 ODD: tuple[Any, ...] = (
-    0, -1, 1, 2, 0.5, float("nan"), float("inf"), -float("inf"), 1e308, 1e-320, 10**30, "", "abc", "a/b", None, True, [], {},
-    [1.0], [[1.0]], [float("nan")] * 8, [1.0] * 8, [0.0] * 11, [-1.0] * 11, [1e308] * 11, {"a": 1}, "gru", "0" * 64, "x" * 4000,
+    0, -1, 1, 2, 0.5, float("nan"), float("inf"), -float("inf"), 1e308, 1e-320, 10**30, "", "abc", "a/b", None, True,
+    [], {},
+    [1.0], [[1.0]], [float("nan")] * 8, [1.0] * 8, [0.0] * 11, [-1.0] * 11, [1e308] * 11, {"a": 1}, "gru", "0" * 64,
+    "x" * 4000,
 )  # fmt: skip
 
 
@@ -126,12 +128,15 @@ def weights(bases: Bases) -> st.SearchStrategy[Case]:
             ("training", ["probe", "--data", "demos.h5", "--encoder", "weights/encoder.onnx"], ("demos",)),
             ("training", RNN, ("demos",)),
         ],
-        "weights/decoder.onnx": [("figures", [*fly, "--records", "B.npz"], ("record",)), ("live", [*fly, "--no-open"], ())],
+        "weights/decoder.onnx": [("figures", [*fly, "--records", "B.npz"], ("record",)),
+        ("live", [*fly, "--no-open"], ())],
         "weights/lstm.onnx": [
             ("sweep", [*fly, *SWEEP, "--out", "out"], ()),
             ("pick_place", [*fly, "--disturbance", "none"], ()),
-            ("calibrate", ["--candidates", "weights/lstm.onnx", "--encoder", "weights/encoder.onnx", "--out", "new.onnx"], ()),
-            ("baselines", ["--policies", "weights/lstm.onnx", "--data", "demos.h5", "--encoder", "weights/encoder.onnx"],
+            ("calibrate", ["--candidates", "weights/lstm.onnx", "--encoder", "weights/encoder.onnx", "--out",
+            "new.onnx"], ()),
+            ("baselines", ["--policies", "weights/lstm.onnx", "--data", "demos.h5", "--encoder",
+            "weights/encoder.onnx"],
              ("demos",)),
             ("analysis", ["return", "--out", "out", *fly], ()),
             ("analysis", ["states", "--out", "out", *fly], ()),
@@ -140,7 +145,8 @@ def weights(bases: Bases) -> st.SearchStrategy[Case]:
         "weights/knn.safetensors": [
             ("sweep", [*fly, *SWEEP, "--out", "out", "--detector", "knn"], ()),
             ("pick_place", [*fly, "--disturbance", "none", "--detector", "knn"], ()),
-            ("baselines", ["--policies", "weights/lstm.onnx", "--data", "demos.h5", "--encoder", "weights/encoder.onnx"],
+            ("baselines", ["--policies", "weights/lstm.onnx", "--data", "demos.h5", "--encoder",
+            "weights/encoder.onnx"],
              ("demos",)),
         ],
         "weights/subspace.safetensors": [("sweep", [*fly, *SWEEP, "--out", "out", "--detector", "subspace"], ())],
@@ -149,7 +155,8 @@ def weights(bases: Bases) -> st.SearchStrategy[Case]:
             ("training", [*RNN, "--start-from", "rnn-4.onnx"], ("demos", "candidate")),
         ],
         "policy-4.onnx": [
-            ("analysis", ["linearize", "--out", "out", "--policies", "policy-4.onnx", "--encoder", "weights/encoder.onnx"],
+            ("analysis", ["linearize", "--out", "out", "--policies", "policy-4.onnx", "--encoder",
+            "weights/encoder.onnx"],
              ("policy",)),
             ("calibrate", ["--candidates", "policy-4.onnx", "--encoder", "weights/encoder.onnx", "--out", "new.onnx"],
              ("policy",)),
@@ -197,8 +204,10 @@ def _hdf5(draw: Any, content: bytes) -> bytes:
                 del node.attrs[key]
             elif what <= 2 and len(node.attrs):
                 key = draw(st.sampled_from(sorted(node.attrs)))
-                odd = draw(st.sampled_from([0, -1, 5.5, np.nan, "x", "", "{", "[]", [0, 10**6], [30, 0], [0, 0], [-5, 3],
-                                            [np.nan] * 8, [1.0] * 7, [np.inf] * 2, np.zeros((2, 2)), 2**40]))  # fmt: skip
+                odd = draw(st.sampled_from([0, -1, 5.5, np.nan, "x", "", "{", "[]", [0, 10**6], [30, 0], [0, 0],
+                [-5, 3],
+                                            [np.nan] * 8, [1.0] * 7, [np.inf] * 2, np.zeros((2, 2)),
+                                            2**40]))  # fmt: skip
                 node.attrs[key] = odd
             elif isinstance(node, h5py.Dataset) and what <= 4:
                 value = node[()]

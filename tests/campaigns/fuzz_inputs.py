@@ -20,14 +20,17 @@ NUMBERS = (
 )  # fmt: skip
 STRINGS = (
     "lstm", "gru", "mtrnn", "recall", "knn", "subspace", "never", "A", "B", "none", "moved", "left", "", " ", "a/b",
-    "../x", "no:Class", ":", "os:path", "json:nothing", "tests.models.outside:NoNetwork", "tests.models.own_policies:Drift",
+    "../x", "no:Class", ":", "os:path", "json:nothing", "tests.models.outside:NoNetwork",
+    "tests.models.own_policies:Drift",
     "tests.models.own_policies:Remembering", "tests.models.outside:Elman", "x" * 300, "\u00fc\u4e2d", "\udcff", "a\nb",
     "None", "nan", "tcp:", "cpu", "meta", "cuda:7", "mps", "%s", "{}", "lstm.onnx", "pick_place.dmd.yaml",
 )  # fmt: skip
 PATHS = (
     "absent", "absent/deep.npz", "", ".", "..", "folder", "fifo", "zero", "note.txt", "note.txt/below", "empty",
-    "a b \u00fc.json", "x" * 300, "\udcff.npz", "weights", "weights/lstm.onnx", "weights/encoder.onnx", "demos.h5", "B.npz",
-    "sweep", "out", "/proc/version/x", "same.png", "same.svg", "same.html", "same.npz", "world.yaml", "a\nb.png", "out.h5",
+    "a b \u00fc.json", "x" * 300, "\udcff.npz", "weights", "weights/lstm.onnx", "weights/encoder.onnx", "demos.h5",
+    "B.npz",
+    "sweep", "out", "/proc/version/x", "same.png", "same.svg", "same.html", "same.npz", "world.yaml", "a\nb.png",
+    "out.h5",
     "policy.onnx", "knn.safetensors", "f.webp", "f.gif", "f.mp4", "f.mcap", "f.json",
 )  # fmt: skip
 NOTES = {

@@ -12,18 +12,25 @@ from tests.campaigns.fuzz_inputs import needed
 
 SCALARS = (
     "0", "-1", "1", "2", "3.5", "-0.5", "1e-9", "1e-320", ".nan", ".inf", "-.inf", "nan", "inf", "1e308", "1e999",
-    "1e400", "100000", "1000000000", "2147483648", "9223372036854775808", "9" * 400, "0x1F", "0o17", "1_000", "1:30", "~",
-    "null", "true", "no", "''", "abc", "'1'", "[]", "{}", "[1, 2]", "[.nan, 1]", "[[1, 2], [3]]", "{a: 1}", "2026-01-01",
-    "!!python/object/apply:os.system ['true']", "!!binary aGFsbG8=", "!!float '1'", "!tag 1", "&a 1", "*a", "? x", "- 1",
+    "1e400", "100000", "1000000000", "2147483648", "9223372036854775808", "9" * 400, "0x1F", "0o17", "1_000", "1:30",
+    "~",
+    "null", "true", "no", "''", "abc", "'1'", "[]", "{}", "[1, 2]", "[.nan, 1]", "[[1, 2], [3]]", "{a: 1}",
+    "2026-01-01",
+    "!!python/object/apply:os.system ['true']", "!!binary aGFsbG8=", "!!float '1'", "!tag 1", "&a 1", "*a", "? x",
+    "- 1",
     "left", "A", "B", "none", "moved", "lstm", "knn", "\"\\x00\"", "\u00fc", "'" + "x" * 5000 + "'",
     "pick_place.dmd.yaml", "../sdf/pick_place.dmd.yaml", "iiwa.dmd.yaml", "unseen", "imagined",
 )  # fmt: skip
 NUMBERS = SCALARS[:20]
 WHOLE = (
-    b"", b"\n", b"# nothing\n", b"---\n", b"---\n...\n", b"null\n", b"~", b"5\n", b"text\n", b"[]\n", b"{}\n", b"- 1\n- 2\n",
-    b"\xff\xfe\x00", b"\x00\x01\x02", b"a: [", b"{", b"a: b: c\n", b"\tgrid: {}\n", b"%YAML 9.9\n---\n{}\n", b"--- {}\n--- {}\n",
-    b"[" * 5000, b"{a: " * 3000, b"a: " + b"x" * 3_000_000, b"? [1, 2]\n: 3\n", b"1: 2\n", b"true: false\n", b"world:\n",
-    b"world: null\n", b"disturbance: none\n", b"disturbance: null\n", b"disturbance: []\n", b"world: default\n", b"grid: null\n",
+    b"", b"\n", b"# nothing\n", b"---\n", b"---\n...\n", b"null\n", b"~", b"5\n", b"text\n", b"[]\n", b"{}\n",
+    b"- 1\n- 2\n",
+    b"\xff\xfe\x00", b"\x00\x01\x02", b"a: [", b"{", b"a: b: c\n", b"\tgrid: {}\n", b"%YAML 9.9\n---\n{}\n",
+    b"--- {}\n--- {}\n",
+    b"[" * 5000, b"{a: " * 3000, b"a: " + b"x" * 3_000_000, b"? [1, 2]\n: 3\n", b"1: 2\n", b"true: false\n",
+    b"world:\n",
+    b"world: null\n", b"disturbance: none\n", b"disturbance: null\n", b"disturbance: []\n", b"world: default\n",
+    b"grid: null\n",
     b"hands: null\n", b"hands: {grip: 5}\n", b"seed: null\n", b"<<: {seed: 1}\n", b"!!set {a, b}\n", b"grid: [1, 2]\n",
     b"a: &a [x, x, x, x, x, x, x, x, x]\n" + b"".join(
         f"{chr(98 + n)}: &{chr(98 + n)} [{', '.join(['*' + chr(97 + n)] * 9)}]\n".encode() for n in range(9)
