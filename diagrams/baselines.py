@@ -106,7 +106,9 @@ def _check(arguments: BaselinesArguments) -> None:
             "the recall is calibrated by diagrams/calibrate.py, never by nothing: choose another --detector"
         )
     if not arguments.detector or not arguments.factors or not arguments.betas:
-        raise InputError("detectors, factors and betas need one value at least")
+        raise InputError(
+            "there is no detector, factor or beta: give --detector, --factors and --betas one or more each"
+        )
     if len({path.parent.resolve() for path in arguments.policies}) != 1:
         raise InputError("the policies lie in several folders: put them into one, where the detectors' files will be")
 

@@ -99,7 +99,7 @@ def main(cli: PickPlaceArguments) -> int:
     for option, path in asked.items():
         if path.suffix not in formats[option[2:]]:
             names = ", ".join(formats[option[2:]])
-            raise InputError(f"{path.name} has no format that can be written: choose a name that ends in {names}")
+            raise InputError(f"{option} {path} has no format that can be written: choose a name that ends in {names}")
     if cli.mcap is not None:
         require("foxglove")
     episode = EpisodeSampler(cli.world).episode(cli)

@@ -158,4 +158,5 @@ def make_detector(detector: str, policy, folder: Path) -> System:
     except InputError:  # which says what is wrong with the file
         raise
     except ValueError as error:
-        raise InputError(f"the detector '{label}' cannot be built for this policy: {error}") from error
+        whose = "" if label in UNFITTED else f"{detector_file(folder, detector)}: "
+        raise InputError(f"{whose}the detector '{label}' cannot be built for this policy: {error}") from error

@@ -34,7 +34,10 @@ def encode_dataset(path: Path, encoder: Any, cache: Path) -> dict[str, np.ndarra
         try:
             with np.load(cache) as stored:
                 if str(stored["key"]) == key:
-                    return {name: _checked(stored[name], ticks) for name, ticks in lengths.items()}
+                    found = {name: _checked(stored[name], ticks) for name, ticks in lengths.items()}
+                    if len(widths := {array.shape[1] for array in found.values()}) > 1:
+                        raise ValueError(f"features of several sizes, {sorted(widths)}")
+                    return found
         except Exception as error:  # whatever reading strange bytes may raise
             words = f"{type(error).__name__}: {' '.join(str(error).split()):.200}"
             raise InputError(

@@ -160,13 +160,10 @@ def fit(
     checkpoint = Checkpoint(options.out / f"{name}.ckpt", training, optimizer, options.as_metadata() | made_from)
     log, validation_log = (options.out / f"{name}{ending}.csv" for ending in ("", "-validation"))
     start, steps = checkpoint.load(), training.steps
-    for path in (log, validation_log):
-        require_plain(path, "delete it, or choose another --out")
-        try:
-            _drop_rows(path, start)
-        except ValueError as error:
-            words = " ".join(str(error).split())
-            raise InputError(f"{path} is no log of a training ({words}): delete it, or choose another --out") from error
+    for path, text in [(path, _rows_until(path, start)) for path in (log, validation_log) if path.exists()]:
+        partial = path.with_name(f"{path.name}.part")
+        partial.write_text(text)
+        os.replace(partial, path)
     if start == steps:
         print(f"{checkpoint.path}: all {start} updates are done")
     bar = tqdm(range(start, steps), initial=start, total=steps, disable=None)
@@ -217,14 +214,19 @@ def _add_row(path: Path, row: dict[str, Any]) -> None:
         writer.writerow(row)
 
 
-def _drop_rows(path: Path, done: int) -> None:
-    """Drops the rows of updates beyond `done`, which come once more, and a row that was cut off."""
-    if path.exists():
+def _rows_until(path: Path, done: int) -> str:
+    """The log in `path` without rows of updates beyond `done`, which come once more, and a row that was cut off.
+
+    Raises InputError for a file that is no log.
+    """
+    require_plain(path, "choose another --out")
+    try:
         header, *rows = path.read_text().splitlines(keepends=True) or [""]
         kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= done]
-        partial = path.with_name(f"{path.name}.part")
-        partial.write_text("".join([header, *kept]) if kept else "")
-        os.replace(partial, path)
+    except ValueError as error:
+        words = " ".join(str(error).split())
+        raise InputError(f"{path} is no log of a training ({words}): delete it, or choose another --out") from error
+    return "".join([header, *kept]) if kept else ""
 
 
 def prepare(options: TrainingOptions) -> None:

@@ -31,7 +31,7 @@ REMEDY = re.compile(
 
 @dataclass(frozen=True)
 class Special:
-    """No plain file: kind "fifo", "folder", "zero" (a link to /dev/zero) or "sparse": `head`, zeros up to `size` bytes."""
+    """No plain file: kind "fifo", "folder", "zero" (a link to /dev/zero), "sparse" (`head`, zeros up to `size`)."""
 
     kind: str
     head: bytes = b""

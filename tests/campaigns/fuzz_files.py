@@ -138,7 +138,7 @@ def weights(bases: Bases) -> st.SearchStrategy[Case]:
             ("baselines", ["--policies", "weights/lstm.onnx", "--data", "demos.h5", "--encoder",
             "weights/encoder.onnx"],
              ("demos",)),
-            ("analysis", ["return", "--out", "out", *fly], ()),
+            ("analysis", ["resume", "--out", "out", *fly], ()),
             ("analysis", ["states", "--out", "out", *fly], ()),
             ("figures", fly, ()),
         ],
@@ -391,7 +391,9 @@ def sweeps(bases: Bases) -> st.SearchStrategy[Case]:
         if program == "sweep":  # its folder is its own
             files = {("out" + n.removeprefix("sweep") if n.startswith("sweep/") else n): c for n, c in files.items()}
             argv = [*argv[:-1], "out"]
-        return Case("sweeps and reports", program, argv, files, (name.split("/")[-1], "report", "sweep"))
+        return Case(
+            "sweeps and reports", program, argv, files, (name.split("/")[-1], "report", "sweep", "out ", " differ in ")
+        )
 
     return cases()
 

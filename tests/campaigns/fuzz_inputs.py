@@ -179,6 +179,6 @@ def command_lines(name: str, program: Program, bases: Bases) -> st.SearchStrateg
         if draw(st.integers(0, 29)) == 0:
             argv.pop(draw(st.integers(0, len(argv) - 1)))
             names = [""]
-        return Case(f"arguments of {name}", first, argv, needed(bases, program.needs), tuple(n for n in names))
+        return Case(f"arguments of {name}", first, argv, needed(bases, program.needs), tuple(n[:40] for n in names))
 
     return cases()

@@ -1,0 +1,71 @@
+"""A slice of the campaign of bad input: one of each kind, through the whole program; and what it would find."""
+
+import subprocess
+import sys
+
+import pytest
+
+from models.command_line import ROOT
+from models.errors import InputError
+from tests.campaigns.forked import Case, Special, accept, answer
+
+FUZZ = ROOT / "tests" / "campaigns" / "fuzz.py"
+
+
+def test_a_slice_is_answered_well(tmp_path):
+    asked = [sys.executable, str(FUZZ), "--seed", "1", "--count", "44", "--out", str(tmp_path)]
+    done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1:] == ["44 of 44 answered well"], done.stdout + done.stderr
+    assert done.returncode == 0
+
+
+def refuses(argv):
+    from models.command_line import run
+
+    def main(words):
+        raise InputError(f"{words[0]} is too large: choose less")
+
+    run(main, lambda: argv)
+
+
+def grows(argv):
+    print("error: 5: choose another", file=sys.stderr)
+    open("left", "w").close()
+    sys.exit(2)
+
+
+def changes(argv):
+    with open("mine", "a") as file:
+        file.write("more")
+    sys.exit(0)
+
+
+def raises(argv):
+    raise RuntimeError("not foreseen")
+
+
+def chats(argv):
+    print("error: 5: choose another\nand more", file=sys.stderr)
+    sys.exit(2)
+
+
+def silent(argv):
+    print("error: something went wrong", file=sys.stderr)
+    sys.exit(2)
+
+
+@pytest.mark.parametrize(
+    ("main", "wrong"),
+    [(refuses, None), (accept, None), (grows, "leaves left"), (changes, "changes mine"),
+     (raises, "traceback: RuntimeError: not foreseen"), (chats, "says 2 lines"), (silent, "names no remedy")],
+)  # fmt: skip
+def test_what_is_not_well_is_seen(tmp_path, main, wrong):
+    case = Case("trial", "none", ["5"], {"mine": b"mine", "pipe": Special("fifo")}, ("5",))
+    found = answer(case, main, tmp_path / "scratch")
+    assert (found.wrong or "").startswith(wrong or "")
+    assert (found.wrong is None) == (wrong is None)
+
+
+def test_another_name_than_the_value_is_not_enough(tmp_path):
+    found = answer(Case("trial", "none", ["5"], {}, ("--episodes",)), refuses, tmp_path / "scratch")
+    assert found.wrong == "names none of --episodes"
