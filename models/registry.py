@@ -21,9 +21,12 @@ class Registry(Generic[T]):
     asked for.
     """
 
-    def __init__(self, what: str, entries: dict[str, str]):
-        """`what`: "network", "detector" or "policy", for messages and the group; `entries`: ours, by name."""
-        self.what, self._entries = what, entries
+    def __init__(self, what: str, entries: dict[str, str], needs: tuple[str, ...] = ()):
+        """`what`: "network", "detector" or "policy", for messages and the group; `entries`: ours, by name.
+
+        `needs`: attributes without which a class is none.
+        """
+        self.what, self._entries, self._needs = what, entries, needs
         self.group = f"hindsight.{what}s".replace("ys", "ies")
 
     def __iter__(self) -> Iterator[str]:
@@ -47,6 +50,8 @@ class Registry(Generic[T]):
             raise InputError(wrong) from error
         if not isinstance(getattr(entry, "name", None), str):
             raise InputError(f"the {self.what} '{spec}' has no attribute `name`: give it a short one")
+        if absent := [name for name in self._needs if not hasattr(entry, name)]:
+            raise InputError(f"'{spec}' is no {self.what}, it has no {', '.join(absent)}: give one that has")
         if not _NAME.fullmatch(entry.name):
             raise InputError(
                 f"the {self.what} '{spec}' has the name '{entry.name}': files have it, give it letters, digits, "

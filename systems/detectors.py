@@ -10,4 +10,5 @@ DETECTORS: Registry = Registry(
         "subspace": "systems.subspace_detector:SubspaceDetector",
         "never": "systems.never_detector:NeverDetector",
     },
+    needs=("build",),
 )

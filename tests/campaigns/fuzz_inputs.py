@@ -175,6 +175,7 @@ def command_lines(name: str, program: Program, bases: Bases) -> st.SearchStrateg
             names += [option, *values, option[2:].replace("-", "_"), option[2:].replace("-", " ").replace(".", " ")]
             names.append(option[2:].rsplit(".", 1)[-1].replace("-", " "))
             words += [f"{option}={values[0]}"] if strange == 1 and values else [option, *values]
+        names += [word for word in program.base if word == "absent"]
         argv = [*program.words, *program.base, *words]
         if draw(st.integers(0, 29)) == 0:
             argv.pop(draw(st.integers(0, len(argv) - 1)))

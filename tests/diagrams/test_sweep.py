@@ -231,11 +231,48 @@ def test_real_episodes(tmp_path, weights, in_this_process, monkeypatch):
         assert sorted(counts)[1:] == [15] * 5 + [30]  # a picture a tick, two of transforms; but for the events
 
 
-def test_episodes_that_were_run_without_files_are_counted(tmp_path, weights, faked, capsys):
-    assert run(weights, tmp_path, keep_records=False) == 0
-    assert "have no file" not in capsys.readouterr().err
+def test_a_file_that_is_asked_for_later_is_made(tmp_path, weights, faked, monkeypatch, capsys):
+    def with_file(folder, task):
+        return sweep_fakes.outcome_row(folder, task) | ({"mcap": b"ticks"} if task.files else {})
+
+    monkeypatch.setattr(sweep, "run_task", with_file)
+    assert run(weights, tmp_path) == 0
+    before = without_times(tmp_path)
     assert run(weights, tmp_path, mcap=True) == 0
-    assert "12 of 12 episodes, run before, have no file in" in capsys.readouterr().err
+    assert len([*(tmp_path / "mcap").glob("*.mcap")]) == 12
+    assert without_times(tmp_path) == before
+    [*(tmp_path / "mcap").glob("*.mcap")][0].unlink()
+    capsys.readouterr()
+    assert run(weights, tmp_path, mcap=True) == 0
+    assert "12 episodes, 11 of them done" in capsys.readouterr().out
+    assert len([*(tmp_path / "mcap").glob("*.mcap")]) == 12
+
+
+def test_a_smaller_sweep_does_not_take_the_place_of_a_larger_one(tmp_path, weights, faked):
+    assert run(weights, tmp_path) == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(InputError, match="holds 6 episodes that are not asked for.*choose another --out"):
+        run(weights, tmp_path, disturbance=["none"])
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"), [({"sim_seconds": "long"}, "long"), ({"void": None}, None), ({}, "no void")]
+)
+def test_a_row_of_another_version_is_refused(tmp_path, weights, faked, changes, named):
+    assert run(weights, tmp_path) == 0
+    lines = (tmp_path / "rows.jsonl").read_text().splitlines()
+    entry = json.loads(lines[3])
+    entry["row"] |= changes
+    if not changes:
+        del entry["row"]["void"]
+    lines[3] = json.dumps(entry)
+    (tmp_path / "rows.jsonl").write_text("\n".join(lines) + "\n")
+    if named is None:
+        assert run(weights, tmp_path) == 0
+        return
+    with pytest.raises(InputError, match=rf"rows\.jsonl has a row that is none, {entry['key']} .*{named}"):
+        run(weights, tmp_path)
 
 
 def test_episodes_end_with_the_switching_where_that_is_asked(tmp_path, weights, in_this_process, monkeypatch):

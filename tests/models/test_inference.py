@@ -192,3 +192,18 @@ def test_a_graph_that_cannot_run_is_refused(tmp_path):
     write_graph(tmp_path / "x.onnx", broken.SerializeToString(), {"kind": "encoder"})
     with pytest.raises(WeightsError, match=r"x\.onnx: its graph cannot be run .*NoSuchOperator"):
         Encoder(tmp_path / "x.onnx")
+
+
+def test_a_graph_that_fails_at_a_later_tick_is_named(tmp_path):
+    """On zeros it takes row 0 of a table of one row; on what it is then given, another."""
+    late = handmade.policy(None)
+    late.graph.node.insert(0, onnx.helper.make_node("Gather", ["push", "row"], ["pushed"], axis=0))
+    late.graph.node.insert(0, onnx.helper.make_node("Cast", ["largest"], ["row"], to=onnx.TensorProto.INT64))
+    late.graph.node.insert(0, onnx.helper.make_node("ReduceMax", ["x"], ["largest"], keepdims=0))
+    [add] = [node for node in late.graph.node if node.op_type == "Add"]
+    add.input[1] = "pushed"
+    write_graph(tmp_path / "p.onnx", late.SerializeToString(), make_policy().header())
+    policy = Policy(tmp_path / "p.onnx")
+    policy.step(np.zeros(38), policy.initial_state)
+    with pytest.raises(WeightsError, match=r"p\.onnx: its graph cannot be run .*out of data bounds"):
+        policy.step(np.full(38, 5.0), policy.initial_state)

@@ -21,6 +21,10 @@ class Nameless:
     pass
 
 
+class Slashed:
+    name = "a/b"
+
+
 HERE = __name__
 
 
@@ -55,6 +59,7 @@ def test_by_name_by_entry_point_and_by_class(registry):
         (f"{HERE}:Missing", "cannot be loaded"),
         (f"{HERE}:Nameless", "has no attribute `name`"),
         (":", "cannot be loaded"),
+        (f"{HERE}:Slashed", "has the name 'a/b': files have it, give it letters"),
     ],
 )
 def test_what_is_not_there_is_named(registry, spec, named):

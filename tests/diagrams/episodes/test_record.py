@@ -1,9 +1,12 @@
 """Records on disk, and their hash."""
 
+import dataclasses
+import json
+
 import numpy as np
 import pytest
 
-from diagrams.episodes.record import find_records, load_record, record_hash, save_record
+from diagrams.episodes.record import ARRAYS, find_records, load_record, record_hash, save_record
 from models.errors import InputError
 from tests.diagrams.episode_fakes import OUTCOME
 from tests.diagrams.recorded_run import recorded_run
@@ -47,3 +50,46 @@ def test_what_is_not_there_is_named(tmp_path):
         load_record(tmp_path / "none.npz")
     with pytest.raises(InputError, match="in the folder"):
         find_records([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"alpha": np.array([0.0, np.nan, 1.0])}, "alpha is float64 .*finite rows"),
+        ({"alpha": np.array([0.0, 0.5, 1.5])}, "time or alpha are none"),
+        ({"posture": np.zeros((2, 8))}, r"posture is float64 \(2, 8\) of 3 ticks"),
+        ({"posture": np.zeros((3, 7))}, r"posture is \(3, 7\)"),
+        ({"time": np.array([0.0, 0.2, 0.1])}, "time or alpha are none"),
+        ({"picture_ticks": np.array([7])}, "picture_ticks are beyond the 3 ticks"),
+        ({"errors": np.zeros((3, 1), complex)}, "errors is complex128"),
+    ],
+)
+def test_arrays_that_are_no_run_are_named(tmp_path, changes, named):
+    record = dataclasses.replace(recorded_run(3), **changes)
+    np.savez(
+        tmp_path / "r.npz",
+        text=np.array(json.dumps({"events": record.events, "outcome": OUTCOME.to_dict()})),
+        **{name: getattr(record, name) for name in ARRAYS},
+    )
+    with pytest.raises(InputError, match=rf"r\.npz holds no record, or a damaged one \(.*{named}"):
+        load_record(tmp_path / "r.npz")
+
+
+def test_a_record_without_ticks_is_none(tmp_path):
+    save_record(tmp_path / "r.npz", recorded_run(0), OUTCOME)
+    with pytest.raises(InputError, match=r"r\.npz holds no record.* no ticks"):
+        load_record(tmp_path / "r.npz")
+
+
+@pytest.mark.parametrize(("changes", "named"), [({"success": "yes"}, "has the success yes"), ({}, "no failure")])
+def test_an_outcome_that_is_none_is_named(tmp_path, changes, named):
+    record, outcome = recorded_run(3), OUTCOME.to_dict() | changes
+    if not changes:
+        del outcome["failure"]
+    np.savez(
+        tmp_path / "r.npz",
+        text=np.array(json.dumps({"events": record.events, "outcome": outcome})),
+        **{name: getattr(record, name) for name in ARRAYS},
+    )
+    with pytest.raises(InputError, match=f"the outcome .*{named}"):
+        load_record(tmp_path / "r.npz")

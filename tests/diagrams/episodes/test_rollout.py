@@ -359,6 +359,12 @@ def test_a_run_that_diverges_has_failed_at_both(rollout, policy, encoder, monkey
     assert len(run.record.time) == 10
 
 
+def test_a_run_that_diverges_in_its_first_tick_is_refused(rollout, policy, encoder, monkeypatch):
+    monkeypatch.setattr(rollout, "advance", lambda seconds: False)
+    with pytest.raises(InputError, match=r"diverges in its first tick: choose a softer world\.servo"):
+        Run(rollout, policy, encoder, Episode(0, CAN, "left"))
+
+
 def test_no_disturbance_came(rollout, policy, encoder):
     """The moment never comes within the time: void, neither a success nor a failure."""
     for given in (

@@ -78,7 +78,7 @@ def test_missing_and_damaged_files_are_named(tmp_path: Path) -> None:
         read_header(tmp_path / "bad.h5")
     h5py.File(tmp_path / "other.h5", "w").close()
     for read in (read_header, read_demonstrations, lambda path: next(iterate_frames(path, ["demo_0"]))):
-        with pytest.raises(DatasetError, match=r"other\.h5: .*Is that a data set of diagrams/teach\.py"):
+        with pytest.raises(DatasetError, match=r"other\.h5 is damaged .*: record it again"):
             read(tmp_path / "other.h5")
 
 
@@ -106,3 +106,66 @@ def test_content_is_of_what_the_file_holds(data_file: Path, grown_data_file: Pat
     with h5py.File(path, "a") as file:
         file["data"].attrs["content_hash"] = "11" * 32  # other pictures
     assert content_of(path) != content_of(data_file)
+
+
+def _without(name):
+    def change(file):
+        del file[name]
+
+    return change
+
+
+def _instead(name, make):
+    def change(file):
+        value = file[name][()]
+        del file[name]
+        file[name] = make(value)
+
+    return change
+
+
+def _attribute(name, value):
+    def change(file):
+        file["data/demo_3"].attrs[name] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (_without("data/demo_3/actions"), "actions"),
+        (_without("data/demo_3"), "demo_3"),
+        (_without("data/demo_3/obs/rgb"), "rgb"),
+        (_instead("data/demo_3/actions", lambda a: a[:-1]), r"actions \(99, 8\).*rows of one length"),
+        (_instead("data/demo_3/obs/rgb", lambda a: a[:-1]), r"rgb \(99, 112, 112, 3\)"),
+        (_instead("data/demo_3/obs/posture", lambda a: a[:, :7]), r"posture \(100, 7\)"),
+        (_instead("data/demo_3/obs/posture", lambda a: a * np.nan), "posture .*finite numbers"),
+        (_attribute("subtask_starts", [0, 1000]), r"subtask_starts \(0, 1000\) of 100 ticks"),
+        (_attribute("subtask_starts", [0, 3]), "subtasks of 12 ticks or more"),
+        (_attribute("can_xy", [1.0, 2.0, 3.0]), r"can_xy \[1\. 2\. 3\.\]"),
+    ],
+)
+def test_a_demonstration_that_is_not_whole_is_named(data_file: Path, tmp_path: Path, change, named: str) -> None:
+    path = tmp_path / "d.h5"
+    path.write_bytes(data_file.read_bytes())
+    with h5py.File(path, "a") as file:
+        change(file)
+    with pytest.raises(DatasetError, match=rf"d\.h5 is damaged \(.*{named}.*\): record it again"):
+        read_demonstrations(path)
+
+
+def test_a_flipped_byte_in_a_chunk_is_named(data_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "d.h5"
+    path.write_bytes(data_file.read_bytes())
+    with h5py.File(path, "a") as file:
+        posture = file["data/demo_0/obs/posture"][()]
+        del file["data/demo_0/obs/posture"]
+        # As teach.py writes them.
+        written = file.create_dataset("data/demo_0/obs/posture", data=posture, compression="gzip", chunks=(32, 8))
+        place = written.id.get_chunk_info(0)
+    broken = bytearray(path.read_bytes())
+    broken[place.byte_offset + place.size // 2] ^= 0x10
+    path.write_bytes(bytes(broken))
+    with pytest.raises(DatasetError, match=r"d\.h5 "):
+        read_demonstrations(path)

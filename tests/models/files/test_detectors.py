@@ -42,7 +42,8 @@ def test_what_does_not_fit_is_refused(tmp_path):
     [
         {"mean_errors": [0.1, 0.0]}, {"mean_errors": []}, {"mean_errors": 0.1}, {"mean_errors": ["a"]},
         {"mean_errors": [0.1, float("nan")]}, {"beta": 0.0}, {"beta": "thirty"}, {"beta": [30.0]},
-        {"gamma": float("inf")}, {"gamma": None}, {"gamma": "1"}, {"beta": True}, {"mean_errors": [[0.1], [0.1, 0.2]]},
+        {"gamma": float("inf")}, {"gamma": None}, {"gamma": -1.0}, {"gamma": 0.0},
+        {"gamma": "1"}, {"beta": True}, {"mean_errors": [[0.1], [0.1, 0.2]]},
     ],
 )  # fmt: skip
 def test_a_calibration_of_no_use_is_named(tmp_path, changed):
@@ -61,4 +62,12 @@ def test_a_header_without_calibrations_is_named(tmp_path):
     path = tmp_path / "subspace.safetensors"
     write_tensors(path, {"axes": np.zeros((2, 10, 2))}, {"kind": "detector", "method": "subspace", "metadata": {}})
     with pytest.raises(WeightsError, match=r"has no calibrations in its header.*baselines\.py"):
+        load_detector(path, "subspace")
+
+
+@pytest.mark.parametrize("changed", [{"calibrations": []}, {"metadata": "none"}])
+def test_a_header_of_other_types_is_named(tmp_path, changed):
+    path, header = tmp_path / "subspace.safetensors", {"calibrations": {}, "metadata": {}} | changed
+    write_tensors(path, {"axes": np.zeros((2, 10, 2))}, {"kind": "detector", "method": "subspace"} | header)
+    with pytest.raises(WeightsError, match=rf"has the {next(iter(changed))} .* in its header, no map"):
         load_detector(path, "subspace")

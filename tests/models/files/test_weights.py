@@ -133,6 +133,8 @@ def test_damaged_header_of_an_autoencoder(tmp_path: Path, change: dict, named: s
         ({"beta": 10**400}, "too large"),
         ({"mean_errors": [1.0, 0.0, 1.0]}, "mean_errors is .*numbers above 0"),
         ({"gamma": float("nan")}, "gamma is nan"),
+        ({"gamma": -1.0}, "gamma is -1.0: numbers above 0 are needed"),
+        ({"torch": {"rnn": "gru", "posture_size": 8, "feature_size": 30, "recall": None}}, "network 'gru' 'lstm'"),
         ({"initial_posture": [float("inf")] * 8}, "initial_posture is"),
     ],
 )

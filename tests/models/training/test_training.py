@@ -287,6 +287,9 @@ def test_each_network_is_trained_as_it_needs_unless_told(rnn_options: RnnOptions
     ("change", "named"),
     [
         ({"batch_size": 0}, "--batch-size 0 is out of range: choose a number above 0"),
+        ({"batch_size": 10**6}, "--batch-size 1000000 is too large: choose at most 4096"),
+        ({"steps": 10**12}, "--steps 1000000000000 is too large"),
+        ({"augmentation": Augmentation(rest_ticks=10**6)}, "--augmentation.rest-ticks 1000000 is too large"),
         ({"posture_weight": -1.0}, "--posture-weight -1.0 is out of range: choose a number 0 or more"),
         ({"learning_rate": float("nan")}, "--learning-rate nan is out of range"),
         ({"scaling_margin": 0.0}, "--scaling-margin 0.0 is out of range: choose a number above 0"),
@@ -298,3 +301,16 @@ def test_each_network_is_trained_as_it_needs_unless_told(rnn_options: RnnOptions
 def test_numbers_out_of_range_are_refused(rnn_options: RnnOptions, change: dict, named: str) -> None:
     with pytest.raises(InputError, match=named):
         replace(rnn_options, **change)
+
+
+@pytest.mark.parametrize("device", ["meta", "nowhere", "cuda:77"])
+def test_a_device_that_cannot_compute_is_refused_at_once(rnn_options: RnnOptions, tmp_path: Path, device: str) -> None:
+    with pytest.raises(InputError, match=f"--device {device} cannot be used .*: choose auto, or cpu"):
+        train_rnn(replace(rnn_options, device=device, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_candidates_of_one_name_are_refused_at_once(recall_options: RecallOptions, tmp_path: Path) -> None:
+    twice = replace(recall_options, policy=("a/rnn-4.onnx", "b/rnn-4.onnx"), out=tmp_path)
+    with pytest.raises(InputError, match=r"a/rnn-4\.onnx b/rnn-4\.onnx would be written to one file"):
+        train_recall(twice)
