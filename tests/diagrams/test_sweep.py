@@ -241,7 +241,7 @@ def test_a_file_that_is_asked_for_later_is_made(tmp_path, weights, faked, monkey
     assert run(weights, tmp_path, mcap=True) == 0
     assert len([*(tmp_path / "mcap").glob("*.mcap")]) == 12
     assert without_times(tmp_path) == before
-    [*(tmp_path / "mcap").glob("*.mcap")][0].unlink()
+    next((tmp_path / "mcap").glob("*.mcap")).unlink()
     capsys.readouterr()
     assert run(weights, tmp_path, mcap=True) == 0
     assert "12 episodes, 11 of them done" in capsys.readouterr().out
@@ -251,7 +251,7 @@ def test_a_file_that_is_asked_for_later_is_made(tmp_path, weights, faked, monkey
 def test_a_smaller_sweep_does_not_take_the_place_of_a_larger_one(tmp_path, weights, faked):
     assert run(weights, tmp_path) == 0
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(InputError, match="holds 6 episodes that are not asked for.*choose another --out"):
+    with pytest.raises(InputError, match=r"holds 6 episodes that are not asked for.*choose another --out"):
         run(weights, tmp_path, disturbance=["none"])
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
