@@ -32,12 +32,17 @@ def require_numbers(options: Any, ranges: Mapping[str, Range]) -> None:
                 require_number(f"--{name.replace('_', '-')}", value, least, most)
 
 
-def require_plain(path: str | Path, remedy: str = "give another name") -> None:
-    """Raises InputError where something is at `path` that is no plain file: to open a pipe or a device may hang."""
+def require_plain(path: str | Path, remedy: str = "give another name", largest: int | None = None) -> None:
+    """Raises InputError where something is at `path` that is no plain file: to open a pipe or a device may hang.
+
+    Also for a file of more than `largest` bytes.
+    """
     path = Path(path)
     if path.exists() and not path.is_file():
         what = "a folder" if path.is_dir() else "a pipe or a device"
         raise InputError(f"{path} is {what}, no plain file: {remedy}")
+    if largest is not None and path.exists() and (size := path.stat().st_size) > largest:
+        raise InputError(f"{path} has {size} bytes, more than {largest}: {remedy}")
 
 
 def require_apart(written: Mapping[str, Path | None], read: Mapping[str, Path | None] | None = None) -> None:

@@ -46,7 +46,9 @@ class RowStore:
         """The rows that are there; a fingerprint where there is none yet."""
         path = self.path
         self._file.seek(0)
-        content = self._file.read()
+        content = self._file.read(len(FIRST))
+        if content == FIRST:  # else it is none of ours, and may be of any size
+            content += self._file.read()
         if not content.startswith(FIRST[: len(content)]):
             raise InputError(f"{path} holds no rows of this program: choose another {option}")
         lines = content.split(b"\n")

@@ -24,6 +24,7 @@ from models.errors import InputError
 
 EPISODES, ROWS = "episodes.parquet", "rows.jsonl"  # of a sweep
 FORETOLD = "way_home", "resumption"  # arrows that the sweep is compared with
+LARGEST_REPORT = 100_000_000  # bytes
 CODE = "code"  # may differ between the reports: a page that is mended changes none of them
 
 
@@ -54,7 +55,7 @@ class Cycle(Arguments):
     def _read(self, name: str) -> dict[str, Any]:
         path = self.out / f"{name}.json"
         try:
-            require_plain(path)
+            require_plain(path, largest=LARGEST_REPORT)
             report = json.loads(path.read_text())
             if not isinstance(report, dict) or "seed" not in report:
                 raise ValueError("no report")
@@ -73,7 +74,7 @@ class Cycle(Arguments):
         try:
             require_plain(path)
             with path.open("rb") as file:
-                line = file.readline()
+                line = file.readline(LARGEST_REPORT)
             if not line.startswith(FIRST):
                 raise ValueError("no fingerprint")
             return dict(json.loads(line)["fingerprint"])

@@ -18,6 +18,7 @@ from models.errors import InputError
 SPLITS = ("train", "valid")
 START_TICKS, END_TICKS = 3, 14  # of a subtask's dwells that are kept
 LEAST_TICKS, MOST_TICKS = 12, 100_000  # of a subtask, and of a demonstration
+LARGEST_CHUNK = 100_000_000  # bytes
 LARGEST = 1000.0  # rad and m, and more than any posture has
 TOLERANCE = 0.02  # rad and m: a posture nearer than that to the dwell's is taken for dwelling
 
@@ -110,7 +111,7 @@ def read_header(path: str | Path) -> DatasetHeader:
 def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demonstration]:
     """All demonstrations, or those of one split ("train", "valid"), in the order of their numbers."""
     with _open(path) as file:
-        splits = {name.decode(): part for part in SPLITS for name in file[f"mask/{part}"][()]}
+        splits = {name.decode(): part for part in SPLITS for name in _small(file[f"mask/{part}"])[()]}
         size = np.size(file["data"].attrs["initial_posture"])
         found = [
             _demonstration(name, splits[name], file["data"][name], size)
@@ -122,9 +123,18 @@ def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demo
     return found
 
 
+def _small(dataset: h5py.Dataset) -> h5py.Dataset:
+    """The dataset; raises ValueError where a part of it that is read at once would take more than LARGEST_CHUNK."""
+    if dataset.chunks is not None and (size := int(np.prod(dataset.chunks)) * dataset.dtype.itemsize) > LARGEST_CHUNK:
+        raise ValueError(f"{dataset.name} has chunks of {size} bytes, more than {LARGEST_CHUNK}")
+    if dataset.ndim < 4 and (size := dataset.size * dataset.dtype.itemsize) > LARGEST_CHUNK:
+        raise ValueError(f"{dataset.name} has {size} bytes, more than {LARGEST_CHUNK}")
+    return dataset
+
+
 def _demonstration(name: str, split: str, group: h5py.Group, size: int) -> Demonstration:
     """The demonstration in its group, of postures with `size` components; raises ValueError for what makes none."""
-    shapes = {key: group[key].shape for key in ("obs/posture", "actions", "obs/rgb")}
+    shapes = {key: _small(group[key]).shape for key in ("obs/posture", "actions", "obs/rgb")}
     ticks = shapes["obs/posture"][0] if shapes["obs/posture"] else 0
     wanted = {"obs/posture": (ticks, size), "actions": (ticks, size), "obs/rgb": (ticks, *group["obs/rgb"].shape[1:])}
     if shapes != wanted or len(shapes["obs/rgb"]) != 4 or group["obs/rgb"].dtype != np.uint8 or ticks > MOST_TICKS:

@@ -30,6 +30,7 @@ _POSITIVE = {"steps", "batch_size", "max_images", "horizon", "checkpoint_every",
 _POSITIVE |= {"scaling_margin", "least_half_range", "closed_finger_ticks"}
 # The most of a number, where that is not MOST: more takes the memory, or no data have it.
 MOST = 10**6
+LARGEST_LOG = 100_000_000  # bytes
 _MOST = {
     "seed": LARGEST_SEED, "steps": 10**8, "max_images": 10**9, "checkpoint_every": 10**8, "validate_every": 10**8,
     "batch_size": 4096, "horizon": 1000, "hidden": 10_000, "rest_ticks": 1000, "carry_ticks": 1000, "shift": 100,
@@ -219,7 +220,7 @@ def _rows_until(path: Path, done: int) -> str:
 
     Raises InputError for a file that is no log.
     """
-    require_plain(path, "choose another --out")
+    require_plain(path, "choose another --out", LARGEST_LOG)
     try:
         header, *rows = path.read_text().splitlines(keepends=True) or [""]
         kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= done]

@@ -16,6 +16,7 @@ from diagrams.episodes.switching import GUARD
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT
 from diagrams.world.task import HOME_TOLERANCE, at_home
+from models.errors import InputError
 
 CAN = (0.555, -0.041)
 MARK = (1, 2, 3, 4)  # no colour of a picture, whose alpha is 255
