@@ -14,6 +14,7 @@ from models.data.augmentation import Augmentation
 from models.data.demonstrations import Demonstration, content_of, read_demonstrations, read_header
 from models.data.scaling import MinMaxScaling
 from models.data.sequences import Batch, SequencePack, errors, make_batch, pack_sequences, run
+from models.errors import InputError
 from models.files.container import WeightsError, file_hash
 from models.files.weights import StoredPolicy, load_policy, save_policy
 from models.inference import Encoder
@@ -150,6 +151,15 @@ def prepare_sequences(
     options: Any, demos: list[Demonstration], encoder: Any, scaling: MinMaxScaling, target: str
 ) -> dict[str, SequencePack]:
     """Sequences of each split ("train", "valid"), with room for the rest after their end."""
+    most, shortest = (
+        options.augmentation.carry_ticks,
+        min(np.diff([*d.subtask_starts, len(d.posture)]).min() for d in demos),
+    )
+    if most > shortest:
+        raise InputError(
+            f"--augmentation.carry-ticks {most} is more than the {shortest} ticks of the shortest subtask in "
+            f"{options.data}: choose at most that"
+        )
     features = encode_dataset(options.data, encoder, options.features or options.out / "features.npz")
     return {
         split: pack_sequences(

@@ -190,6 +190,7 @@ def _wrong(case: Case, found: Answer, changed: list[str], left: list[str]) -> st
         return f"says {len(lines)} lines where one begins with error:"
     if not REMEDY.search(lines[0]):
         return "names no remedy"
-    if case.names and not any(name in lines[0] for name in case.names):
+    told = {" ".join(name.encode(errors="backslashreplace").decode().split()) for name in case.names}
+    if told and not any(name in lines[0] for name in told):
         return f"names none of {', '.join(case.names)}"[:200]
     return None

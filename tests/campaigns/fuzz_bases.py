@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from diagrams import sweep
+from diagrams.episodes import compatibility
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.record import save_record
@@ -82,6 +83,7 @@ def _make(folder: Path) -> Bases:
     for name, graph in (("encoder", handmade.encoder()), ("decoder", handmade.decoder())):
         write_graph(weights / f"{name}.onnx", graph.SerializeToString(), {"kind": name, "metadata": {}})
     posture = world.initial_posture
+    synthetic.INITIAL_POSTURE, synthetic.WORLD = posture, compatibility.facts(world)  # so that the networks fit it
     facts = PolicyFacts(
         name="lstm", scaling=_scaling(posture), initial_posture=posture,
         encoder_hash=file_hash(weights / "encoder.onnx"), mean_errors=np.ones(HORIZON + 1), beta=30.0, gamma=10.0,

@@ -81,6 +81,14 @@ def test_the_hash_is_that_of_what_decides(folder, tmp_path):
     assert hash_of(replace(stored, arrays=stored.arrays | {"angles": stored.arrays["angles"] + 1})) != before
 
 
+def test_a_calibration_of_another_number_of_criteria_is_refused(folder, tmp_path):
+    policy, stored = Policy(folder / "lstm.onnx"), load_detector(folder / "knn.safetensors", "knn")
+    stored.calibrations[policy.hash] |= {"mean_errors": [0.5] * 6}
+    save_detector(tmp_path / "knn.safetensors", stored)
+    with pytest.raises(WeightsError, match=r"knn\.safetensors: has 6 mean_errors for lstm, where the detector has 7"):
+        stored_calibration("knn", policy, tmp_path)
+
+
 def test_what_is_missing_is_said(folder, tmp_path):
     policy = Policy(folder / "lstm.onnx")
     with pytest.raises(InputError, match="no detector 'svm'"):

@@ -151,7 +151,7 @@ def test_an_episode_that_raised_an_error_is_no_good_one():
 
 
 def test_a_report_of_another_version_is_refused():
-    with pytest.raises(InputError, match=r"do not fit \('draws'\).*run `return`"):
+    with pytest.raises(InputError, match=r"do not fit \(return\.json has no draws\): run `return`"):
         report({name: value for name, value in RETURNED.items() if name != "draws"}, RESUMED, ROWS)
 
 

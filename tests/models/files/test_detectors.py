@@ -71,3 +71,8 @@ def test_a_header_of_other_types_is_named(tmp_path, changed):
     write_tensors(path, {"axes": np.zeros((2, 10, 2))}, {"kind": "detector", "method": "subspace"} | header)
     with pytest.raises(WeightsError, match=rf"has the {next(iter(changed))} .* in its header, no map"):
         load_detector(path, "subspace")
+
+
+def test_the_remedy_is_the_program_that_makes_it(tmp_path):
+    with pytest.raises(WeightsError, match=r"Make it with `python diagrams/calibrate\.py --policy`"):
+        calibration_of(tmp_path, StoredDetector("knn"), "aa", "calibrate.py --policy")

@@ -314,3 +314,18 @@ def test_two_candidates_of_one_name_are_refused_at_once(recall_options: RecallOp
     twice = replace(recall_options, policy=("a/rnn-4.onnx", "b/rnn-4.onnx"), out=tmp_path)
     with pytest.raises(InputError, match=r"a/rnn-4\.onnx b/rnn-4\.onnx would be written to one file"):
         train_recall(twice)
+
+
+def test_carry_ticks_beyond_the_data_are_refused(rnn_options: RnnOptions, tmp_path: Path) -> None:
+    beyond = replace(rnn_options, augmentation=Augmentation(carry_ticks=49), out=tmp_path)
+    with pytest.raises(InputError, match=r"--augmentation\.carry-ticks 49 is more than the 48 ticks of the shortest"):
+        train_rnn(beyond)
+
+
+def test_a_log_that_is_none_is_refused_and_left_alone(rnn_options: RnnOptions, tmp_path: Path) -> None:
+    train_rnn(replace(rnn_options, out=tmp_path, steps=2))
+    (tmp_path / "rnn-validation.csv").write_bytes(b"update,open\nmine,\x80\n")
+    before = (tmp_path / "rnn.csv").read_bytes()
+    with pytest.raises(InputError, match=r"rnn-validation\.csv is no log of a training .*choose another --out"):
+        train_rnn(replace(rnn_options, out=tmp_path, steps=2))
+    assert (tmp_path / "rnn.csv").read_bytes() == before
