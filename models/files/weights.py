@@ -46,6 +46,8 @@ def load_autoencoder(path: str | Path) -> tuple[ConvolutionalAutoencoder, dict[s
     arrays, header = read_tensors(path, "autoencoder", RETRAIN)
     try:
         model, metadata = ConvolutionalAutoencoder(header["feature_activation"]), header["metadata"]
+        if not isinstance(metadata, dict):
+            raise ValueError(f"metadata is {metadata!r:.60}")
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(path, f"its metadata does not describe an autoencoder ({error})", RETRAIN) from error
     _fill(path, model, {name: torch.from_numpy(value).float() for name, value in arrays.items()})

@@ -172,7 +172,13 @@ def command_lines(name: str, program: Program, bases: Bases) -> st.SearchStrateg
             values = value_of(draw, hint)
             if hint is bool and draw(st.booleans()):
                 option = "--no-" + option[2:]
-            names += [option, *values, option[2:].replace("-", "_"), option[2:].replace("-", " ").replace(".", " ")]
+            names += [
+                option,
+                *values,
+                *(value.replace("_", "") for value in values),
+                option[2:].replace("-", "_"),
+                option[2:].replace("-", " ").replace(".", " "),
+            ]
             names.append(option[2:].rsplit(".", 1)[-1].replace("-", " "))
             words += [f"{option}={values[0]}"] if strange == 1 and values else [option, *values]
         names += [word for word in program.base if word == "absent"]

@@ -117,6 +117,7 @@ def documents(draw: Any, kind: str) -> tuple[bytes, tuple[str, ...]]:
         if what <= 6:
             number = isinstance(inner[key], int | float) and draw(st.booleans())
             inner[key] = draw(st.sampled_from(NUMBERS if number else SCALARS))
+            names.append(inner[key].strip("'\"")[:40])
         elif what == 7 and isinstance(inner[key], list) and inner[key]:
             inner[key] = _bent(draw, inner[key])
         elif what == 8:

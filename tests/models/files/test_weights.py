@@ -106,6 +106,7 @@ def test_wrong_kind_missing_tensor_and_not_finite(tmp_path: Path) -> None:
         ({"feature_activation": "sine"}, "does not describe an autoencoder .*sine"),
         ({"feature_activation": []}, "does not describe an autoencoder"),
         ({"metadata": None}, "does not describe an autoencoder .*metadata"),
+        ({"metadata": [5]}, r"does not describe an autoencoder .*metadata is \[5\]"),
     ],
 )
 def test_damaged_header_of_an_autoencoder(tmp_path: Path, change: dict, named: str) -> None:
