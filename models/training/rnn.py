@@ -79,7 +79,9 @@ class RnnOptions(TrainingOptions):
 
 
 def posture_scaling(demos: list[Demonstration], margin: float, least_half_range: float) -> MinMaxScaling:
-    """Bounds (8,) that hold the postures."""
+    """Bounds (8,) that hold the postures; raises InputError without a demonstration."""
+    if not demos:
+        raise InputError("the split train has no demonstration: teach more (diagrams/teach.py with a larger --limit)")
     rows = np.concatenate([demo.posture for demo in demos])
     least = np.full(rows.shape[1], 0.01)
     least[:JOINTS] = least_half_range

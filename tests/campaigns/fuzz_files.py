@@ -171,7 +171,7 @@ def weights(bases: Bases) -> st.SearchStrategy[Case]:
         files = needed(bases, ("weights", *needs))
         inside = _safetensors if name.endswith("safetensors") else _onnx
         files[name] = draw(changed(files[name], inside, others))
-        return Case(f"weights {name.split('/')[-1]}", program, argv, files, (name.split("/")[-1],))
+        return Case(f"weights {name.split('/')[-1]}", program, argv, files, (name.split("/")[-1], "the policy was"))
 
     return cases()
 

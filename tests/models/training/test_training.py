@@ -329,3 +329,8 @@ def test_a_log_that_is_none_is_refused_and_left_alone(rnn_options: RnnOptions, t
     with pytest.raises(InputError, match=r"rnn-validation\.csv is no log of a training .*choose another --out"):
         train_rnn(replace(rnn_options, out=tmp_path, steps=2))
     assert (tmp_path / "rnn.csv").read_bytes() == before
+
+
+def test_without_training_demonstrations_nothing_is_scaled() -> None:
+    with pytest.raises(InputError, match="the split train has no demonstration: teach more"):
+        posture_scaling([], 1.1, 0.3)
