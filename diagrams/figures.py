@@ -52,7 +52,7 @@ def main(arguments: FiguresArguments) -> int:
     from models.files.policies import read_policy
 
     out, rnn, world = arguments.out, network_label(arguments.rnn), load_world(arguments.world)
-    path = policy_file(arguments.weights, rnn, arguments.training_seed)
+    path = policy_file(arguments.weights, arguments.rnn, arguments.training_seed)
     notes: dict[str, Any] = {"rnn": rnn, "weights_hash": read_policy(path)[1].hash}
     chosen = choose_records(arguments.records, notes["weights_hash"]) if arguments.records else {}
     curves, bounds = gamma_curves(read_tables(arguments.sweep)) if arguments.sweep else ({}, {})

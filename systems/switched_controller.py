@@ -226,6 +226,6 @@ def _check_fit(encoder, policy) -> None:
     have, want = getattr(encoder, "hash", None), getattr(policy, "encoder_hash", None)
     if have is not None and want is not None and have != want:
         raise ValueError(
-            f"The encoder's file has the hash {have}, the policy was trained with {want!s:.64}: load that encoder, or train "
-            "the policy again."
+            f"The encoder's file has the hash {have}, the policy was trained with {want!s:.64}: load that encoder, or "
+            "train the policy again."
         )
