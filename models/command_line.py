@@ -108,7 +108,8 @@ def require_checkout() -> None:
 def require_writable(path: Path) -> None:
     """Raises InputError unless the file `path`, which is left as it is, can be written; before work is done for it."""
     try:
-        require_plain(path)
+        if not path.is_dir():
+            require_plain(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             path.open("ab").close()

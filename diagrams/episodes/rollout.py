@@ -257,9 +257,7 @@ class Rollout:
             # To the middle of the tick: its outputs hold from the update to the next one.
             if not self._to_middle(k, homing, way_home, ports):
                 if not k:
-                    raise InputError(
-                        "the simulation diverges in its first tick: choose a softer world.servo, or a smaller time_step"
-                    )
+                    raise InputError("the simulation diverges in its first tick: choose a softer world.servo")
                 diverged = True  # what came before is kept
                 break
             posture, alpha, active, taken, cans = [port.Eval(context).copy() for port, context in judged]

@@ -153,6 +153,8 @@ def prepare_sequences(
     options: Any, demos: list[Demonstration], encoder: Any, scaling: MinMaxScaling, target: str
 ) -> dict[str, SequencePack]:
     """Sequences of each split ("train", "valid"), with room for the rest after their end."""
+    if {demo.split for demo in demos} != {"train", "valid"}:
+        raise InputError("a split has no demonstration: teach more (diagrams/teach.py with a larger --limit)")
     most, shortest = (
         options.augmentation.carry_ticks,
         min(np.diff([*d.subtask_starts, len(d.posture)]).min() for d in demos),

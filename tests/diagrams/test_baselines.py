@@ -33,8 +33,8 @@ def data(tmp_path_factory):
     with RecordingFile(path, {"world": {}}, {"initial_posture": home, "period": 0.1}) as file:
         for index in range(6):
             rng = np.random.default_rng(index)
-            wave = 0.1 * np.sin(0.1 * np.arange(60)[:, None] * rng.uniform(0.5, 1.5, 8))
-            file.add(recording(index, posture=home + wave + 0.001 * rng.normal(size=(60, 8))))
+            wave = 0.1 * np.sin(0.1 * np.arange(40)[:, None] * rng.uniform(0.5, 1.5, 8))
+            file.add(recording(index, posture=home + wave + 0.001 * rng.normal(size=(40, 8))))
         file.finish([f"demo_{index}" for index in range(6)])
     return path
 
@@ -195,9 +195,9 @@ def test_other_settings_are_refused(folder, data, asked, tmp_path):
         ({"detector": ["svm"]}, "no detector 'svm'"),
         ({"detector": ["recall"]}, "the recall is calibrated by diagrams/calibrate.py"),
         ({"detector": ["knn", "never"]}, "never by nothing"),
-        ({"factors": []}, "need one value"),
-        ({"factors": [float("nan")]}, "nan is no factor of gamma"),
-        ({"betas": [0.0]}, "0.0 is no factor of gamma and no beta"),
+        ({"factors": []}, "give --detector, --factors and --betas"),
+        ({"factors": [float("nan")]}, "--factors nan is no number"),
+        ({"betas": [0.0]}, "--betas 0.0 is too small"),
         ({"policies": [Path("a/lstm.onnx"), Path("b/lstm.onnx")]}, "several folders"),
         ({"trials": 0}, "--trials 0 is too small"),
         ({"workers": -1}, "--workers -1 is too small"),
