@@ -11,7 +11,7 @@ import tyro
 from torch import Tensor
 
 from models.data.augmentation import Augmentation
-from models.data.demonstrations import Demonstration, content_of, read_demonstrations, read_header
+from models.data.demonstrations import Demonstration, content_of, read_demonstrations, read_header, subtask_ranges
 from models.data.scaling import MinMaxScaling
 from models.data.sequences import Batch, SequencePack, errors, make_batch, pack_sequences, run
 from models.errors import InputError
@@ -155,11 +155,9 @@ def prepare_sequences(
     """Sequences of each split ("train", "valid"), with room for the rest after their end."""
     if {demo.split for demo in demos} != {"train", "valid"}:
         raise InputError("a split has no demonstration: teach more (diagrams/teach.py with a larger --limit)")
-    most, shortest = (
-        options.augmentation.carry_ticks,
-        min(np.diff([*d.subtask_starts, len(d.posture)]).min() for d in demos),
-    )
-    if most > shortest:
+    # What cannot be used is refused before the pictures are encoded.
+    shortest = min(last - first for demo in demos for first, last in subtask_ranges(demo))
+    if (most := options.augmentation.carry_ticks) > shortest:
         raise InputError(
             f"--augmentation.carry-ticks {most} is more than the {shortest} ticks of the shortest subtask in "
             f"{options.data}: choose at most that"
