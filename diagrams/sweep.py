@@ -54,6 +54,8 @@ def main(arguments: SweepArguments) -> int:
     arguments.check()
     optional = {"distributed": arguments.scheduler, "foxglove": arguments.mcap}
     require("pandas", "pyarrow", "scipy", *(name for name, needed in optional.items() if needed))
+    from diagrams.sweeps.table import require_rows
+
     world, out = load_world(arguments.world), arguments.out
     tasks, names = plan(arguments, world)
     if (out / "episodes.parquet").exists() and not (out / ROWS).exists():
@@ -67,8 +69,6 @@ def main(arguments: SweepArguments) -> int:
                 raise InputError(
                     f"{out} holds episodes of other weights than {arguments.weights} has now: choose another --out"
                 )
-        from diagrams.sweeps.table import require_rows
-
         require_rows(out / ROWS, rows)
         if more := rows.keys() - {task.key for task in tasks}:
             raise InputError(

@@ -1,5 +1,6 @@
 """Training of the autoencoder (Eq. 1, with the pixels of what moves weighted)."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -13,8 +14,6 @@ from models.data.demonstrations import content_of, iterate_frames, read_demonstr
 from models.files.weights import save_autoencoder
 from models.networks.cae import ConvolutionalAutoencoder, to_image
 from models.training.trainer import Training, TrainingOptions, device_of, fit, prepare, step_generator
-
-BATCH_MOST = 4096
 
 
 @dataclass(kw_only=True)
@@ -149,7 +148,7 @@ class CaeTraining(Training):
 
 def train_cae(options: CaeOptions) -> Path:
     """Runs the training and returns the path of the weight file."""
-    require_number("--batch-size", options.batch_size, 2, BATCH_MOST)  # batch norm needs two
+    require_number("--batch-size", options.batch_size, 2, math.inf)  # batch norm needs two; the most is known already
     prepare(options)
     options = options.with_precision()
     frames = load_frames(options.data)
