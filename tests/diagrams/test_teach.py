@@ -115,7 +115,7 @@ def test_a_demonstration_that_fails_is_named(monkeypatch, tmp_path, capsys):
     ("changes", "named"),
     [
         ({"seed": -1}, "--seed -1 is too small: choose 0 or more"),
-        ({"workers": -1}, "the number of workers -1 is out of range: choose from 0 to 1000"),
+        ({"workers": -1}, "--workers -1 is too small: choose 0 or more"),
         ({"limit": 0}, "--limit 0 is too small: choose 1 or more"),
         ({"out": Path("/dev/null/y.h5")}, r"/dev/null/y\.h5 cannot be written"),
         ({"world": Path("nowhere.yaml")}, r"no world file nowhere\.yaml"),
