@@ -120,6 +120,9 @@ def _child(case: Case, main: Callable[[list[str]], NoReturn], inside: Path, fold
         for number, name in ((1, "stdout"), (2, "stderr")):
             os.dup2(os.open(folder / name, os.O_WRONLY | os.O_CREAT), number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        # As a process of its own begins: pytest, for one, has put others into their place.
+        sys.stdout = open(1, "w", closefd=False, errors="surrogateescape")  # noqa: SIM115
+        sys.stderr = open(2, "w", closefd=False, errors="backslashreplace", buffering=1)  # noqa: SIM115
         os.chdir(inside)
         size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
         resource.setrlimit(resource.RLIMIT_AS, (size + BYTES, size + BYTES))

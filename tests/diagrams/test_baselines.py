@@ -119,8 +119,8 @@ def test_what_is_learned_comes_from_the_training_demonstrations(folder, data, as
     baselines.main(arguments(folder, data, detector=["knn", OUTSIDE]))
     arrays = load_detector(folder / "knn.safetensors", "knn").arrays
     train = [0, 2, 4]
-    assert arrays["lengths"].tolist() == [60] * len(train)
-    assert arrays["angles"].shape == (180, 7)
+    assert arrays["lengths"].tolist() == [40] * len(train)
+    assert arrays["angles"].shape == (120, 7)
     home = World().initial_posture[1]
     largest = load_detector(folder / "far.safetensors", "far").arrays["largest"][0]
     assert abs(largest - home) < 0.11
