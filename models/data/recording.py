@@ -49,7 +49,8 @@ class RecordingFile(AbstractContextManager):
         text = json.dumps(settings | {"layout": LAYOUT_VERSION}, sort_keys=True)
         damaged = "if a kill in the middle of a write broke it, delete it"
         with hdf5_errors(path, "written", "choose another --out", damaged):
-            require_plain(path, "choose another --out")
+            if not path.is_dir():
+                require_plain(path, "choose another --out")
             path.parent.mkdir(parents=True, exist_ok=True)
             if not path.exists():  # begun under another name: a kill leaves no half of a file
                 begun = path.with_name(f"{path.name}.part")
@@ -69,11 +70,7 @@ class RecordingFile(AbstractContextManager):
         return name in self._data
 
     def add(self, recording: Recording) -> None:
-        """Writes one demonstration; it is whole in the file when this returns. Raises DatasetError as `finish`."""
-        with self._errors():
-            self._add(recording)
-
-    def _add(self, recording: Recording) -> None:
+        """Writes one demonstration; it is whole in the file when this returns."""
         partial = f"partial_{recording.name}"
         if partial in self._file:  # left by a kill in the middle of a write
             del self._file[partial]

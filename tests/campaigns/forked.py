@@ -194,6 +194,6 @@ def _wrong(case: Case, found: Answer, changed: list[str], left: list[str]) -> st
     if not REMEDY.search(lines[0]):
         return "names no remedy"
     told = {" ".join(name.encode(errors="backslashreplace").decode().split()) for name in case.names}
-    if told and not any(name in lines[0] for name in told):
+    if told and not any(name.replace("-", "") in lines[0].replace("-", "") for name in told):
         return f"names none of {', '.join(case.names)}"[:200]
     return None

@@ -62,6 +62,11 @@ class FuzzArguments:
     out: Path = Path("outputs/campaigns/fuzz")
 
 
+def parse(arguments: list[str] | None = None) -> FuzzArguments:
+    """The command line."""
+    return tyro.cli(FuzzArguments, args=arguments, description=__doc__)
+
+
 def import_all() -> None:
     """Imports all that the programs import: the children need not."""
     for name in ("pydrake.all", "torch", "torch._dynamo", "onnx", "pandas", "pyarrow.parquet", "scipy.stats",
@@ -219,4 +224,4 @@ def report(rows: list[dict[str, Any]]) -> int:
 
 
 if __name__ == "__main__":
-    run(main, lambda: tyro.cli(FuzzArguments, description=__doc__))
+    run(main, parse)
