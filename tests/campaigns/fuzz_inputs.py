@@ -179,7 +179,7 @@ def command_lines(name: str, program: Program, bases: Bases) -> st.SearchStrateg
                 option[2:].replace("-", "_"),
                 option[2:].replace("-", " ").replace(".", " "),
             ]
-            names.append(option[2:].rsplit(".", 1)[-1].replace("-", " "))
+            names += [part.replace("-", " ") for part in option[2:].split(".")[-2:]]
             words += [f"{option}={values[0]}"] if strange == 1 and values else [option, *values]
         names += [word for word in program.base if word == "absent"]
         argv = [*program.words, *program.base, *words]
