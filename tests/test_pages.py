@@ -21,7 +21,12 @@ PAGES = sorted(
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # The programs with commands; every other program takes options alone.
 SUBCOMMANDS = {"diagrams.analysis": tuple(ANALYSES), "models.training.__main__": tuple(training_commands())}
-PROGRAMS = (*(f"diagrams.{path.stem}" for path in ROOT.glob("diagrams/[a-z]*.py")), "models.training.__main__")
+CAMPAIGNS = (path for path in ROOT.glob("tests/campaigns/[a-z]*.py") if "def parse(" in path.read_text())
+PROGRAMS = (
+    *(f"diagrams.{path.stem}" for path in ROOT.glob("diagrams/[a-z]*.py")),
+    *(f"tests.campaigns.{path.stem}" for path in CAMPAIGNS),
+    "models.training.__main__",
+)
 FOREIGN = {"--measure", "--index-url", "--help"}  # pytest's, pip's, everybody's
 
 
