@@ -46,7 +46,7 @@ def save_graph(diagram: Diagram, path: Path) -> None:
     try:
         drawn = subprocess.run([dot, f"-T{path.suffix[1:]}"], input=text.encode(), check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        words = getattr(error, "stderr", b"").decode(errors="replace") or str(error)
+        words = " ".join((getattr(error, "stderr", b"").decode(errors="replace") or str(error)).split())
         raise InputError(f"{dot} cannot draw {path} ({words}): mend that program, or ask for .dot") from error
     write_bytes(path, drawn.stdout)
 

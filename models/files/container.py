@@ -57,12 +57,17 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     Makes the folder. An OSError of the block names `path`.
     """
     path = Path(path)
-    partial = partial_of(path)
+    if path.exists() and not path.is_file():  # a device, a pipe: it cannot be replaced, and is written to
+        with naming(path):
+            yield path
+        return
+    target = path.resolve() if path.is_symlink() else path
+    partial = partial_of(target)
     try:
         with naming(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+            target.parent.mkdir(parents=True, exist_ok=True)
             yield partial
-            os.replace(partial, path)
+            os.replace(partial, target)
     finally:
         with suppress(OSError):
             partial.unlink()

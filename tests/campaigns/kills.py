@@ -183,6 +183,11 @@ def _signalled(ended: Ended, code: int) -> str | None:
     return None
 
 
+def parse(arguments: list[str] | None = None) -> KillsArguments:
+    """The command line."""
+    return tyro.cli(KillsArguments, args=arguments, description=__doc__)
+
+
 def main(arguments: KillsArguments) -> int:
     """Runs what is not in the log yet; returns 0 if all was well, else 1."""
     folder = Path(tempfile.mkdtemp())  # no TemporaryDirectory: a forked process would remove it at its end
@@ -232,4 +237,4 @@ def _key(case: tuple[str, str, int]) -> str:
 
 
 if __name__ == "__main__":
-    run_program(main, functools.partial(tyro.cli, KillsArguments, description=__doc__))
+    run_program(main, parse)

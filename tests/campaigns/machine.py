@@ -127,6 +127,11 @@ def _end(ended: Ended, code: int, may: tuple[int, ...]) -> str | None:
     return None
 
 
+def parse(arguments: list[str] | None = None) -> MachineArguments:
+    """The command line."""
+    return tyro.cli(MachineArguments, args=arguments, description=__doc__)
+
+
 def main(arguments: MachineArguments) -> int:
     """Runs what is not in the log yet; returns 0 if all was well, else 1."""
     mounts = own_mounts()
@@ -189,4 +194,4 @@ def _key(case: tuple[str, str, int]) -> str:
 
 
 if __name__ == "__main__":
-    run_program(main, functools.partial(tyro.cli, MachineArguments, description=__doc__))
+    run_program(main, parse)

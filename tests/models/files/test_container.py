@@ -59,3 +59,14 @@ def test_the_kernel_lets_go_of_a_killed_programs_lock(tmp_path):
     with locked(path):
         pass
     assert not path.exists()
+
+
+def test_a_link_stays_and_a_device_is_written_to(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "far")
+    write_bytes(tmp_path / "link", b"new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "far").read_bytes() == b"new"
+    (tmp_path / "full").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left") as refused:
+        write_bytes(tmp_path / "full", b"new")
+    assert refused.value.filename == str(tmp_path / "full")
