@@ -36,9 +36,8 @@ from systems.switched_controller import SwitchedController
 
 COMMAND = "desired_posture"  # as it comes out of the clearance filter
 FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into it
-# Outputs of the controller that are logged, under their own names; and of what watches it.
-SIGNALS = "signals"
-LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features", SIGNALS)
+# Outputs that are logged, under their own names: of the controller, and of what watches it.
+LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features", "signals")
 WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
 JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
@@ -104,8 +103,7 @@ class Rollout:
         except ValueError as error:
             raise InputError(f"the controller cannot be built: {error}") from error
         builder.AddNamedSystem("switched_controller", self.controller)
-        station, controller, period = self.station, self.controller, world.timing.period
-        plant = station.plant
+        station, controller, plant, period = self.station, self.controller, self.station.plant, world.timing.period
         disturbance = self.disturbance = Disturbance(posture_size=policy.posture_size, period=period)
         builder.AddNamedSystem("disturbance", disturbance)
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
@@ -124,9 +122,8 @@ class Rollout:
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
         if world.releases:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
-        self._command = add_clearance_filter(
-            builder, world, station, *(controller.GetOutputPort(name) for name in FILTERED)
-        )
+        outputs = (controller.GetOutputPort(name) for name in FILTERED)
+        self._command = add_clearance_filter(builder, world, station, *outputs)
         command = self._command if self.hands is None else self.hands.late(builder, self._command)
         builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
@@ -136,8 +133,8 @@ class Rollout:
         seen = (controller.GetOutputPort("alpha"), active, controller.GetOutputPort("measured_posture"), self._command)
         self.requirements = RequirementWatch(builder, world, station, *seen)
         # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
-        others = {COMMAND: self._command, SIGNALS: self.requirements.signals}
-        logged = [others[name] if name in others else controller.GetOutputPort(name) for name in LOGGED]
+        others = {COMMAND: self._command, "signals": self.requirements.signals}
+        logged = [others.get(name) or controller.GetOutputPort(name) for name in LOGGED]
         self._sizes = [port.size() for port in logged]
         self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
         for i, port in enumerate(logged):

@@ -111,7 +111,7 @@ def train_recall(options: RecallOptions) -> list[Path]:
     """Trains heads for each candidate in turn; skips those whose policy file is there. Returns the policy files."""
     if options.horizon > LONGEST:
         raise InputError(f"--horizon {options.horizon} is too long: choose at most {LONGEST} ticks")
-    files = [given for given in options.policy if ":" not in given]
+    files = [given for given in options.policy if ":" not in str(given)]
     outs = [_out_of(options, given) for given in files]
     if twice := [given for given, out in zip(files, outs, strict=True) if outs.count(out) > 1]:
         raise InputError(f"--policy {' '.join(twice)} would be written to one file: give each with an --out of its own")

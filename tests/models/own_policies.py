@@ -59,7 +59,7 @@ class Recalling(Remembering):
 
 
 class NoPolicy:
-    name = "no policy"
+    name = "no-policy"
 
 
 class Nowhere(Drift):
@@ -90,5 +90,5 @@ class WithArgument(Drift):
 
 
 class WithoutAct(Policy):
-    name = "without act"
+    name = "without-act"
     initial_posture = World().initial_posture
