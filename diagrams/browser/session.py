@@ -260,7 +260,7 @@ class Session:
         """
         self.require_going()
         if self._shown is None or self._shown[0] != self.ticks:
-            port = self._hands.image
+            port = self._hands.signals["rgb_image"]
             seen = port.Eval(port.get_system().GetMyContextFromRoot(self._root)).data[:, :, :3]
             said = np.zeros_like(seen) if self._decoder is None else self._decoder.decode(self._features)
             self._shown = self.ticks, seen.copy(), said

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, System
-from pydrake.systems.primitives import LogVectorOutput, Multiplexer
+from pydrake.systems.primitives import LogVectorOutput, Multiplexer, ZeroOrderHold
 
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
+from diagrams.episodes.controller import make_controller
 from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.narrator import Narrator
 from diagrams.episodes.outcome import make_outcome
@@ -22,16 +23,17 @@ from diagrams.world.can_mover import CanMover
 from diagrams.world.clearance_map import add_clearance_filter
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.faults.registry import FAULTS
+from diagrams.world.faults.wiring import FaultInDiagram
 from diagrams.world.ghost import add_ghost
 from diagrams.world.hands import Hands
-from diagrams.world.names import ARM_JOINTS, other_spot
-from diagrams.world.station import PickPlaceStation, controller_limits
-from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, other_spot
+from diagrams.world.station import PickPlaceStation
+from diagrams.world.task import TIME_LIMIT, TaskMonitor
 from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.dialled_detector import DialledDetector
 from systems.disturbance import Disturbance
-from systems.switched_controller import SwitchedController
 
 COMMAND = "desired_posture"  # as it comes out of the clearance filter
 FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into it
@@ -58,6 +60,7 @@ class Rollout:
         meshcat=None,
         video: Path | None = None,
         hands: bool = False,
+        fault: str | None = None,
     ):
         """
         Args:
@@ -66,60 +69,47 @@ class Rollout:
             meshcat: where the run is shown.
             video: an .mp4 to write, finished by `self.video.Save()`.
             hands: with a person's hands (`self.hands`, see world/hands.py) between the parts.
+            fault: with the system of this fault (`self.fault`, see world/faults/) between the parts.
 
         Raises InputError for networks, camera and world that do not fit together.
         """
         require_trained_for(world, policy)
         self.world, self.policy = world, policy
         builder = DiagramBuilder()
-        self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None, pulled=hands))
-        lower, upper, speed = controller_limits(self.station)
+        needs = () if fault is None else FAULTS[fault].needs
+        pulled = hands or "applied_spatial_force" in needs
+        self.station = builder.AddSystem(PickPlaceStation(world, True, video is not None, pulled, needs))
         if detector is None:
             detector = DETECTORS[RECALL].build(policy, ARM_JOINTS, {})
             calibration = calibration or stored_calibration(RECALL, policy, Path())
         self.calibration = calibration
         if hands:
             detector = DialledDetector(detector)
-        try:
-            self.controller = SwitchedController(
-                encoder,
-                policy,
-                detector,
-                joints=ARM_JOINTS,
-                regulator_Q=world.regulator.state_weight,
-                regulator_R=world.regulator.input_weight,
-                joint_lower=lower,
-                joint_upper=upper,
-                speed_limits=speed[:ARM_JOINTS],
-                finger_openings=(world.closed_opening, world.opening),
-                finger_thresholds=(world.close_below, world.open_above),
-                period=world.timing.period,
-                image_width=world.camera.width,
-                image_height=world.camera.height,
-                home_tolerance=HOME_TOLERANCE if world.resumption == "reset" else None,
-                empty_below=world.empty_below if world.releases else None,
-            )
-        except ValueError as error:
-            raise InputError(f"the controller cannot be built: {error}") from error
+        self.controller = make_controller(world, self.station, encoder, policy, detector)
         builder.AddNamedSystem("switched_controller", self.controller)
         station, controller, period = self.station, self.controller, world.timing.period
         plant = station.plant
         disturbance = self.disturbance = Disturbance(posture_size=policy.posture_size, period=period)
         builder.AddNamedSystem("disturbance", disturbance)
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
-        image, disturbed, active, place = (
-            system.GetOutputPort(name)
-            for system, name in ((station, "rgb_image"), (disturbance, "disturbed_posture"), (disturbance, "active"),
-                                 (self.can_mover, "can_place"))
-        )  # fmt: skip
-        self.hands = Hands(builder, world, station, disturbed, active, place) if hands else None
-        if self.hands is not None:
-            image, disturbed, active, place = (
-                self.hands.image, self.hands.command, self.hands.active, self.hands.place,
-            )  # fmt: skip
+        signals = {name: station.GetOutputPort(name) for name in ("rgb_image", "posture", "finger_gap")}
+        signals |= {name: disturbance.GetOutputPort(name) for name in ("ticks_since_onset", "active")}
+        signals |= {
+            "desired_posture": disturbance.GetOutputPort("disturbed_posture"),
+            "alpha": controller.GetOutputPort("alpha"), "can_place": self.can_mover.GetOutputPort("can_place"),
+        }  # fmt: skip
+        self.fault, self.hands = None, None
+        if fault is not None:
+            self.fault = FaultInDiagram(builder, station, fault, policy.posture_size, signals)
+            signals = self.fault.signals
+        if hands:
+            self.hands = Hands(builder, world, station, signals)
+            signals = self.hands.signals
             builder.Connect(self.hands.gamma, controller.GetInputPort("gamma"))
-        builder.Connect(image, controller.GetInputPort("rgb_image"))
-        builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
+        if "spatial_force" in signals:
+            builder.Connect(signals["spatial_force"], station.GetInputPort("applied_spatial_force"))
+        builder.Connect(signals["rgb_image"], controller.GetInputPort("rgb_image"))
+        builder.Connect(signals["posture"], controller.GetInputPort("posture"))
         if world.releases:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
         self._command = add_clearance_filter(
@@ -127,9 +117,9 @@ class Rollout:
         )
         builder.Connect(self._command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
-        builder.Connect(disturbed, station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
-        builder.Connect(place, station.GetInputPort("can_place"))
+        for name in ("desired_posture", "can_place"):
+            builder.Connect(signals[name], station.GetInputPort(name))
         # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
         logged = [self._command if name == COMMAND else controller.GetOutputPort(name) for name in LOGGED]
         self._sizes = [port.size() for port in logged]
@@ -145,8 +135,13 @@ class Rollout:
             for system, name in (
                 (controller, "measured_posture"), (controller, "alpha"), (self.can_mover, "taken"),
                 (station, "can_poses"), (plant, "state"), (station, "approach_distance"),
+                (disturbance, "ticks_since_onset"),
             )
-        } | {name: (port.get_system(), port) for name, port in (("active", active), ("rgb_image", image))}  # fmt: skip
+        } | {name: (signals[name].get_system(), signals[name]) for name in ("active", "rgb_image")}  # fmt: skip
+        if self.fault is not None and self.fault.alters_posture:  # the truth, which is judged
+            true = builder.AddNamedSystem("true_posture", ZeroOrderHold(period, policy.posture_size))
+            builder.Connect(station.GetOutputPort("posture"), true.get_input_port())
+            self._ports["true_posture"] = true, true.get_output_port()
         self.video = None
         if video is not None:
             from pydrake.visualization import VideoWriter
@@ -165,9 +160,9 @@ class Rollout:
 
     def create_context(self, episode: Episode, calibration: Calibration | None = None) -> Context:
         """A fresh Context of `diagram` for `episode`, at time 0; `calibration` instead of the constructor's."""
-        station, given, context = self.station, episode.disturbance, self.diagram.CreateDefaultContext()
+        station, context = self.station, self.diagram.CreateDefaultContext()
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
-        self._set_disturbance(context, given)
+        self._set_disturbance(context, episode)
         if self.hands is not None:
             self.hands.set(context, episode.hands)
         elif episode.hands:
@@ -177,12 +172,18 @@ class Rollout:
         self.controller.set_calibration(context, used.mean_errors, used.beta, used.gamma)
         return context
 
-    def _set_disturbance(self, context: Context, given: DisturbanceSpec) -> None:
+    def _set_disturbance(self, context: Context, episode: Episode) -> None:
         """In the root Context; its state is left alone."""
-        meter = self.station.approach_meter
+        meter, given, onset = self.station.approach_meter, episode.disturbance, episode.disturbance.onset
         meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
-        self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), given)
-        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), given)
+        self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), onset)
+        own = given if given.fault is None else DisturbanceSpec()  # what a fault moves, it moves itself
+        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), own)
+        if self.fault is not None:
+            stands = np.array([*episode.can_xy, CAN_HALF_HEIGHT])
+            self.fault.set(context, given, episode.seed, stands, self.station.spot(other_spot(episode.vacant)))
+        elif given.fault is not None:
+            raise InputError(f"the episode has the fault '{given.label}', the diagram has none: build it with fault")
 
     def prepare(
         self, episode: Episode, calibration: Calibration | None = None, start: Prefix | None = None
@@ -190,10 +191,12 @@ class Rollout:
         """Puts a Context for `episode` into the simulator: a fresh one, see `create_context`, or a clone of `start`."""
         station = self.station
         context = self.create_context(episode, calibration) if start is None else start.context.Clone()
-        self._set_disturbance(context, episode.disturbance)
+        self._set_disturbance(context, episode)
         self.simulator.reset_context(context)
         self.simulator.Initialize()
         goal, neighbour = station.spot(episode.vacant), station.spot(other_spot(episode.vacant))
+        if self.fault is not None:
+            neighbour = self.fault.neighbour(context, neighbour)
         return TaskMonitor(goal, neighbour, self.world.initial_posture, self.world.timing.period)
 
     def run(
@@ -222,19 +225,25 @@ class Rollout:
         """
         started, period = time.perf_counter(), self.world.timing.period
         monitor = self.prepare(episode, calibration, start)
-        narrator, switching = Narrator(monitor, on_event), Switching(episode.disturbance.takes_arm, period)
+        given = episode.disturbance
+        narrator, switching = Narrator(monitor, on_event), Switching(given.takes_arm, period, given.several)
         root = self.simulator.get_context()
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
-        judged = [ports[name] for name in JUDGED]
         rows: dict[str, list] = {name: [] if start is None else list(start.rows[name]) for name in ARRAYS}
+        true = list(rows["posture"]) if "true_posture" in ports else rows["posture"]
         way_home = WayHome(self.station)
-        success = diverged = cut = can_moved = homing = False
+        success = diverged = cut = begun = homing = False
         limit, k = round(time_limit / period) + episode.hands.last_tick, 0 if start is None else start.ticks
         put = {int(row[0]) for row in episode.hands.can}
 
+        def evaluated(name: str) -> np.ndarray:
+            port, context = ports[name]
+            return port.Eval(context).copy()
+
         def judge(k: int, taken: bool) -> bool:
             """Tells of row k; whether the arm is at its initial posture."""
-            posture, alpha, active, cans = (rows[name][k] for name in ("posture", "alpha", "active", "can_poses"))
+            alpha, active, cans = (rows[name][k] for name in ("alpha", "active", "can_poses"))
+            posture = true[k]
             home = bool(monitor.home(posture))
             narrator.see(k * period, posture, alpha, active, taken, cans, home)
             switching.see(alpha, active, home)
@@ -255,20 +264,23 @@ class Rollout:
             if not self._to_middle(k, homing, way_home, ports):
                 diverged = True  # what came before is kept
                 break
-            posture, alpha, active, taken, cans = [port.Eval(context).copy() for port, context in judged]
+            posture, alpha, active, taken, cans = map(evaluated, JUDGED)
             alpha, active = float(alpha[0]), bool(active[0] > 0.5)
             homing = alpha >= GUARD and not active
             for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans)):
                 rows[name].append(value)
+            if true is not rows["posture"]:
+                true.append(evaluated("true_posture"))
+            if not begun and evaluated("ticks_since_onset")[0] >= 0.0:
+                begun = True
+                if given.fault is not None and given.severity:
+                    narrator.say(k * period, f"{given.label} begins")
             if picture_every and k % picture_every == 0:
                 port, context = ports["rgb_image"]
                 rows["picture_ticks"].append(k)
                 rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())
             home = judge(k, taken[0] > 0.5 or k in put)
-            can_moved |= bool(taken[0] > 0.5)
-            success = (
-                home and not active and monitor.success(cans, np.array(rows["posture"]), self.station.finger_gap(root))
-            )
+            success = home and not active and monitor.success(cans, np.array(true), self.station.finger_gap(root))
             cut = switching.over(until)
             k += 1
             if on_tick is not None:
@@ -277,8 +289,8 @@ class Rollout:
         narrator.say((k - 1) * period, "task done" if success else unfinished)
         arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
         record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
-        seen = monitor, record, switching, way_home, success, diverged, can_moved
-        outcome = make_outcome(episode, *seen, period, self.policy.hash)
+        seen = monitor, record, switching, way_home, success, diverged, begun
+        outcome = make_outcome(episode, *seen, period, self.policy.hash, np.array(true))
         if until != "task":  # what was cut short is not judged
             outcome.success = None
             outcome.failure = outcome.failure if diverged else None
