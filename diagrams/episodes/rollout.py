@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, System
-from pydrake.systems.primitives import LogVectorOutput, Multiplexer, ZeroOrderHold
+from pydrake.systems.primitives import ZeroOrderHold
 
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
@@ -17,6 +17,7 @@ from diagrams.episodes.narrator import Narrator
 from diagrams.episodes.outcome import make_outcome
 from diagrams.episodes.prefix import BRANCH_LEVELS, Prefix
 from diagrams.episodes.record import ARRAYS, Record
+from diagrams.episodes.run_log import COMMAND, RunLog
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
@@ -35,10 +36,7 @@ from systems.detectors import DETECTORS
 from systems.dialled_detector import DialledDetector
 from systems.disturbance import Disturbance
 
-COMMAND = "desired_posture"  # as it comes out of the clearance filter
-FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into it
-# Outputs of the controller that are logged, under their own names.
-LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features")
+FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into the clearance filter
 WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
 JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
@@ -47,7 +45,7 @@ class Rollout:
     """Station, controller and disturbance, wired as systems/README.md says.
 
     Everything that runs is in `diagram`, all its state in the Context: the loop of a Simulator of one's own, which
-    systems/README.md shows, gives the same bits as `run`.
+    systems/README.md shows, gives the same bits as `run`. `log`: what of the controller is logged.
     """
 
     def __init__(
@@ -112,24 +110,14 @@ class Rollout:
         builder.Connect(signals["posture"], controller.GetInputPort("posture"))
         if world.releases:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
-        self._command = add_clearance_filter(
-            builder, world, station, *(controller.GetOutputPort(name) for name in FILTERED)
-        )
-        builder.Connect(self._command, disturbance.GetInputPort("desired_posture"))
+        filtered = (controller.GetOutputPort(name) for name in FILTERED)
+        command = add_clearance_filter(builder, world, station, *filtered)
+        builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
         for name in ("desired_posture", "can_place"):
             builder.Connect(signals[name], station.GetInputPort(name))
-        # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
-        logged = [self._command if name == COMMAND else controller.GetOutputPort(name) for name in LOGGED]
-        self._sizes = [port.size() for port in logged]
-        self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
-        for i, port in enumerate(logged):
-            builder.Connect(port, self._logged.get_input_port(i))
-        self._log = LogVectorOutput(self._logged.get_output_port(), builder, period)
-        self._input_log = LogVectorOutput(controller.GetOutputPort("network_input"), builder, period)
-        self._log.set_name("log")
-        self._input_log.set_name("network_input_log")
+        self.log = RunLog(builder, controller, command, period)
         self._ports = {
             name: (system, system.GetOutputPort(name))
             for system, name in (
@@ -287,7 +275,7 @@ class Rollout:
                 on_tick(k)
         unfinished = "the simulation diverged" if diverged else f"{until} decided" if cut else "time is up"
         narrator.say((k - 1) * period, "task done" if success else unfinished)
-        arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
+        arrays = {name: np.array(values) for name, values in rows.items()} | self.log.rows(root, k)
         record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
         seen = monitor, record, switching, way_home, success, diverged, begun
         outcome = make_outcome(episode, *seen, period, self.policy.hash, np.array(true))
@@ -304,28 +292,6 @@ class Rollout:
         """The value of a port of JUDGED, or of the plant's state, now."""
         system, port = self._ports[name]
         return port.Eval(system.GetMyContextFromRoot(self.simulator.get_context())).copy()
-
-    def latest(self) -> dict[str, np.ndarray]:
-        """What a Record has of the present tick and is logged, by name; the logs are emptied.
-
-        For runs without an end; `run` has no use of it.
-        """
-        root = self.simulator.get_mutable_context()
-        parts = self._logged.get_output_port().Eval(self._logged.GetMyContextFromRoot(root))
-        found = dict(zip(LOGGED, np.split(parts, np.cumsum(self._sizes)[:-1]), strict=True))
-        found["network_input"] = self._input_log.FindLog(root).data()[:, -1].copy()
-        for log in (self._log, self._input_log):
-            log.FindMutableLog(root).Clear()
-        return found
-
-    def _logs(self, ticks: int) -> dict[str, np.ndarray]:
-        """What was logged of the first `ticks` ticks, (ticks, size) by name."""
-        root = self.simulator.get_context()
-        last = self._logged.get_output_port().Eval(self._logged.GetMyContextFromRoot(root))
-        rows = np.vstack((self._log.FindLog(root).data().T[1:], last))[:ticks]
-        parts = np.split(rows, np.cumsum(self._sizes)[:-1], axis=1)
-        network_input = self._input_log.FindLog(root).data().T[:ticks]
-        return dict(zip((*LOGGED, "network_input"), map(np.ascontiguousarray, (*parts, network_input)), strict=True))
 
     def _to_middle(self, k: int, homing: bool, way_home: WayHome, ports: dict) -> bool:
         """To the middle of tick k, see `advance`; on a way home it is looked at after each step of the plant.

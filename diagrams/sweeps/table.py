@@ -33,7 +33,8 @@ _OWN = {
 # Of a type such as float | None the first is what the column holds.
 _OUTCOME = {name: _TYPES.get(kind) or _TYPES[get_args(kind)[0]] for name, kind in get_type_hints(Outcome).items()}
 SCHEMA = pa.schema(_OUTCOME | _OWN)
-_EPISODE = ["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]
+_EPISODE = ["rnn", "training_seed", "detector", "gamma", "disturbance", "severity", "seed"]
+LATER = ("traceback", "severity")  # columns that tables of earlier versions may lack
 
 
 def write_table(folder: Path, rows: list[dict[str, Any]]) -> Path:
@@ -60,13 +61,13 @@ def read_tables(folders: list[Path]) -> pd.DataFrame:
             table = pd.read_parquet(path)
         except (OSError, ValueError) as error:  # pyarrow's errors are ValueErrors
             raise InputError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
-        missing = [name for name in SCHEMA.names if name not in table.columns and name != "traceback"]
+        missing = [name for name in SCHEMA.names if name not in table.columns and name not in LATER]
         if missing:
             raise InputError(
                 f"{path} has no column {', '.join(missing)}, another version of sweep.py wrote it: "
                 "run the sweep again, with another --out"
             )
-        tables.append(table.astype(object))
+        tables.append(table.reindex(columns=list(dict.fromkeys([*table.columns, *LATER]))).astype(object))
     rows = pd.concat(tables, ignore_index=True).infer_objects()
     if rows.duplicated(_EPISODE).any():
         raise InputError(

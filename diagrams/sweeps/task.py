@@ -14,6 +14,7 @@ from diagrams.episodes.record import PICTURE_EVERY, record_bytes, stretches
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
+from diagrams.world.faults.registry import kind_label
 from diagrams.world.names import ENCODER
 from models.errors import InputError
 from systems.detectors import DETECTORS
@@ -41,6 +42,7 @@ class Task:
     until: Until = "task"
     files: tuple[str, ...] = ()  # sent along, of FILES
     policy: str | None = None  # package.module:Class, whose name `rnn` is then
+    severity: float | None = None  # of a fault; None: of no fault
     code: str = dataclasses.field(default_factory=code_hash)  # that the sweep was started with
 
     @property
@@ -49,12 +51,14 @@ class Task:
         gamma = "own" if self.gamma is None else repr(self.gamma)
         end = "" if self.until == "task" else f"-{self.until}"
         detector = DETECTORS.label(self.detector)
-        return f"{self.rnn}-{self.training_seed}-{detector}-{gamma}-{self.disturbance}-{self.seed}{end}"
+        kind = kind_label(self.disturbance) + ("" if self.severity is None else f"-{self.severity!r}")
+        return f"{self.rnn}-{self.training_seed}-{detector}-{gamma}-{kind}-{self.seed}{end}"
 
     def labels(self) -> dict[str, Any]:
         """Columns of a row that are known before the episode is run."""
-        names = ("rnn", "training_seed", "gamma", "disturbance", "seed", *HASHES)
-        return {name: getattr(self, name) for name in names} | {"detector": DETECTORS.label(self.detector)}
+        names = ("rnn", "training_seed", "gamma", "severity", "seed", *HASHES)
+        labels = {"detector": DETECTORS.label(self.detector), "disturbance": kind_label(self.disturbance)}
+        return {name: getattr(self, name) for name in names} | labels
 
 
 def run_task(folder: Path, task: Task) -> dict[str, Any]:
@@ -69,8 +73,9 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
         controller = Controller(path, task.detector, task.calibration, task.policy)
         until, every = task.until, 1 if "mcap" in task.files else PICTURE_EVERY if task.files else 0
         job = Job(
-            task.world, folder / ENCODER, controller, task.seed, task.disturbance, until=until, picture_every=every
-        )
+            task.world, folder / ENCODER, controller, task.seed, task.disturbance,
+            1.0 if task.severity is None else task.severity, until=until, picture_every=every,
+        )  # fmt: skip
         outcome, record = run_episode(job)
         if outcome.weights_hash != task.weights_hash:
             raise InputError(

@@ -22,7 +22,7 @@ class FaultInDiagram:
     Attributes:
         kind: as it was asked for.
         fault: its system, which has the output `acting`.
-        signals: every signal by its name, as it is behind the fault; and `spatial_force`, if it has forces on the plant.
+        signals: every signal by its name, as it is behind the fault; and `spatial_force`, if it pulls at the plant.
     """
 
     def __init__(
