@@ -26,7 +26,7 @@ class Episode:
 
 @dataclass
 class Outcome:
-    """What came of an episode; None where a field has no meaning: undisturbed, never reached, several disturbances."""
+    """What came of an episode; None where a field has no meaning (undisturbed, never reached, see outcome.py)."""
 
     seed: int
     rnn: str

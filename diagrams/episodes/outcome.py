@@ -11,7 +11,8 @@ from diagrams.episodes.switching import GUARD, Switching
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.task import TaskMonitor, lifted
 
-# What has no meaning under a person's hands, or several disturbances: there is no one by which it could be judged.
+# What has no meaning under a person's hands, several disturbances, or a fault that does not take the arm: there is no
+# one disturbance by which it could be judged, or an alarm may be right that would count as false.
 OF_ONE_DISTURBANCE = (
     "detection_delay_s", "false_switches", "later_switches", "needless_s", "returned", "resumed", "switch_success",
     "paper_switch_success", "alpha_max_before", "return_s", "resume_s", "switch_failure",
@@ -40,7 +41,7 @@ def make_outcome(
     given = episode.disturbance
     came = not switching.void if given.takes_arm else begun or given.kind == "none"
     came |= bool(episode.hands) or not given.severity
-    unjudged = bool(episode.hands) or given.several
+    unjudged = bool(episode.hands) or given.several or (given.fault is not None and not given.takes_arm)
     void = not came and not diverged  # a run that diverged has failed at both
     switch_success, as_paper = switching.success, switching.as_paper
     failure, switch_failure = None, None if unjudged else switching.failure

@@ -38,7 +38,6 @@ from systems.disturbance import Disturbance
 
 FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into the clearance filter
 WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
-JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
 
 class Rollout:
@@ -252,8 +251,8 @@ class Rollout:
             if not self._to_middle(k, homing, way_home, ports):
                 diverged = True  # what came before is kept
                 break
-            posture, alpha, active, taken, cans = map(evaluated, JUDGED)
-            alpha, active = float(alpha[0]), bool(active[0] > 0.5)
+            posture, cans = evaluated("measured_posture"), evaluated("can_poses")
+            alpha, active = float(evaluated("alpha")[0]), bool(evaluated("active")[0] > 0.5)
             homing = alpha >= GUARD and not active
             for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans)):
                 rows[name].append(value)
@@ -267,7 +266,7 @@ class Rollout:
                 port, context = ports["rgb_image"]
                 rows["picture_ticks"].append(k)
                 rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())
-            home = judge(k, taken[0] > 0.5 or k in put)
+            home = judge(k, bool(evaluated("taken")[0] > 0.5) or k in put)
             success = home and not active and monitor.success(cans, np.array(true), self.station.finger_gap(root))
             cut = switching.over(until)
             k += 1
@@ -289,7 +288,7 @@ class Rollout:
         return outcome, record
 
     def judged(self, name: str) -> np.ndarray:
-        """The value of a port of JUDGED, or of the plant's state, now."""
+        """The value of a port that is looked at in every tick, or of the plant's state, now."""
         system, port = self._ports[name]
         return port.Eval(system.GetMyContextFromRoot(self.simulator.get_context())).copy()
 

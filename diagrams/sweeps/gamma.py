@@ -29,9 +29,8 @@ def gamma_curves(rows: pd.DataFrame) -> tuple[dict[str, list], dict[str, tuple[n
     bounds = {}
     for label, points in curves.items():
         last = points[-1]
-        same = [
-            swept[name].isna() if last[name] is None else swept[name] == last[name] for name in CELL if name in swept
-        ]
+        labels = {name: last[name] for name in CELL if name in swept}
+        same = [swept[name].isna() if value is None else swept[name] == value for name, value in labels.items()]
         runs = swept[np.logical_and.reduce(same)]
         gammas = np.geomspace(points[0]["gamma"], last["gamma"], 200)
         runs = runs[runs["switch_success"].notna()]

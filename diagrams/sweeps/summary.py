@@ -113,6 +113,10 @@ def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
                 entry[measure]["clear"] = judged(clear, *columns)
         # A false alarm that is under way at the onset would count as noticed at once.
         entry |= {name: spread(cell[name][cell["false_switches"] == 0]) for name in DELAYS}
+        if labels["severity"] is not None:
+            kept = cell[run & ~void]
+            alarmed = kept["switched"].to_numpy(bool)
+            entry["alarmed"] = rate(alarmed, kept["seed"].to_numpy(), kept["training_seed"].to_numpy())
         # A fault that takes the arm once says whether the arm returned, and whatever does not take it says nothing.
         if labels["disturbance"] in ARM_TAKEN or (labels["severity"] and cell["returned"].notna().any()):
             kept = cell[run & ~void]
@@ -187,6 +191,8 @@ def table(summary: dict[str, Any]) -> str:
         if cell["void"]:
             kinds = f" ({_kinds(cell['void_failures'])})" if cell["void_failures"] else ""
             lines.append(f"{'':30s} void, since the disturbance never came: {cell['void']}{kinds}")
+        if "alarmed" in cell:
+            lines.append(f"{'':30s} {_rate('alarm', cell['alarmed'])}")
         if "one_return" in cell:
             lines.append(f"{'':30s} {_rate('one return', cell['one_return'])}")
             nearest = "" if cell["way_home_m"] is None else f"  nearest {100 * cell['way_home_m']:.1f} cm"

@@ -1,6 +1,7 @@
 """What the faults of the servo share: a softer one, by the command that has its effect."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context
@@ -24,7 +25,7 @@ class ServoFault(Fault):
     """
 
     acts_on = "servo"
-    needs = ("joint_angles",)
+    needs: ClassVar[tuple[str, ...]] = ("joint_angles",)
 
     def __init__(self, setting: Setting):
         super().__init__(setting)
