@@ -30,7 +30,7 @@ from models.errors import InputError
 class DisturbanceArguments(DisturbanceSpec):
     """A DisturbanceSpec, its kind as --disturbance (see systems/disturbance.py; moved: the can alone)."""
 
-    # none, A, B, moved, or a fault (systems/README.md lists them)
+    # none, A, B, moved (the can alone), or a fault: diagrams/FAULTS.md lists them
     kind: Annotated[str, tyro.conf.arg(name="disturbance", prefix_name=False)] = "A"
     severity: Annotated[float, tyro.conf.arg(prefix_name=False)] = 1.0  # of a fault, 0 to 1
 

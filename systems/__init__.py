@@ -31,4 +31,6 @@ dialled_detector       a detector whose gamma is an input
 switched_controller    all of the controller, as one Diagram
 arguments              checks of constructor arguments
 =====================  =============================================================================================
+
+Faults, which diagrams/FAULTS.md lists, are in the room faults/.
 """
