@@ -85,7 +85,9 @@ def test_the_can_moved_is_the_disturbance_moved(world, encoder, policy, rollout,
         runs.append(built.run(episode, time_limit=6.0))
     (_, moved), (outcome, record) = runs
     assert record_hash(record) == record_hash(moved)
-    assert record.can_poses[-1, 4:6] == pytest.approx(one.disturbance.can_moved_to, abs=0.002)
+    off = np.linalg.norm(record.can_poses[:, 4:6] - one.disturbance.can_moved_to, axis=1)
+    assert off.min() < 0.001
+    assert off[0] > 0.029
     assert not outcome.void
 
 
