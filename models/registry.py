@@ -15,8 +15,8 @@ class Registry(Generic[T]):
     """Classes with an attribute `name`, found by that name, by an entry point, or by `package.module:Class`.
 
     A package adds its own under the entry point group `hindsight.networks`, `hindsight.detectors`,
-    `hindsight.policies` or `hindsight.faults`; `package.module:Class` names one without installing it. Nothing is imported before it is
-    asked for.
+    `hindsight.policies` or `hindsight.faults`; `package.module:Class` names one without installing it. Nothing is
+    imported before it is asked for.
     """
 
     def __init__(self, what: str, entries: dict[str, str]):
