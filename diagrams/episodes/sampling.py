@@ -10,7 +10,7 @@ from diagrams.episodes.episode import Episode
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
-from diagrams.world.faults.registry import FAULTS, is_fault
+from diagrams.world.faults.registry import FAULTS, is_fault, require_kind
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, IN_HAND, LIMIT_MARGIN, MOVED, SPOTS, other_spot
@@ -205,6 +205,7 @@ class EpisodeSampler:
     ) -> tuple[DisturbanceSpec, bool | None]:
         """And whether the straight way home from it is clear; None: the arm is not disturbed."""
         # First what the scene has no say in, so that another can or spot leaves it as it is.
+        require_kind(kind)
         fault = FAULTS[kind] if is_fault(kind) else None
         fixed = 1 if kind == MOVED else None if fault is None else fault.subtask
         subtask = int(rng.integers(1, 3)) if fixed is None else fixed
