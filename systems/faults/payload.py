@@ -5,8 +5,8 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context
 
+from systems.body_force import force_at
 from systems.faults.fault import Fault, Setting
-from systems.faults.forces import force_at
 
 LARGEST = 2.0  # kg, at severity 1
 GRAVITY = 9.81  # m/s^2

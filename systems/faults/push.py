@@ -7,8 +7,8 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import Context
 
+from systems.body_force import force_at
 from systems.faults.fault import Setting
-from systems.faults.forces import force_at
 from systems.faults.servo_fault import ServoFault
 
 SOFTER = 0.95  # share of the joints' stiffness that is gone at severity 1
