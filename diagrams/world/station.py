@@ -3,7 +3,6 @@
 import ctypes
 import os
 import sys
-from collections.abc import Collection
 
 import numpy as np
 from pydrake.geometry import (
@@ -139,10 +138,14 @@ class PickPlaceStation(Diagram):
         name: PickPlaceStation
         input_ports:
         - desired_posture
+        - told_posture
         - can_place
+        - can_pose
+        - neighbour_pose
         - applied_spatial_force
         output_ports:
         - posture
+        - joint_angles
         - finger_gap
         - rgb_image
         - can_poses
@@ -153,10 +156,10 @@ class PickPlaceStation(Diagram):
     - `desired_posture` (8): joint angles, rad, and gap of the fingers, m, that the servo tracks.
     - `can_place` (2): see `declare_can_place`; need not be connected.
     - `applied_spatial_force`: list of ExternallyAppliedSpatialForce on bodies of the plant; with pulled=True only.
-    - `can_pose`, `neighbour_pose` (7): quaternion wxyz and position, m, world, of the can to pick, and of the other:
-      see `declare_pose`; each only where it is one of `extra`.
-    - `told_posture` (8): instead of `desired_posture`, what the fingers' command is taken from that `posture` has; only
-      with "joint_angles" in `extra`, and so is the output `joint_angles` (7): as they are, rad, at any time.
+    - `can_pose` (7): quaternion wxyz and position, m, world, of the can to pick, see `declare_pose`; only in `extra`.
+    - `neighbour_pose` (7): the same of the other can; only in `extra`.
+    - `told_posture` (8): what `posture` takes the fingers' command from, instead of `desired_posture`; as the next one.
+    - `joint_angles` (7): as they are, rad, at any time; only in `extra`.
     - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m.
     - `finger_gap` (1): that gap as measured, m; it stalls on the can.
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
@@ -166,14 +169,7 @@ class PickPlaceStation(Diagram):
     - `film_image`: RGBA image of a camera for people, `FILM` pixels; with film_camera=True only.
     """
 
-    def __init__(
-        self,
-        world: World,
-        camera: bool = True,
-        film_camera: bool = False,
-        pulled: bool = False,
-        extra: Collection[str] = (),
-    ):
+    def __init__(self, world: World, camera=True, film_camera=False, pulled=False, extra: tuple[str, ...] = ()):
         """`camera`: render for the network; `film_camera`: for people too; `pulled`: with a port for forces.
 
         `extra`: more ports that a fault needs, see above. Raises InputError without a renderer.

@@ -148,6 +148,16 @@ def test_the_truth_is_judged_where_a_sensor_is_wrong(world, encoder, policy):
     assert np.rad2deg(np.abs(record.posture[-1] - true).max()) == pytest.approx(5.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["push_hand", "camera_gain"])
+def test_a_person_may_have_hands_in_it_too(kind, world, encoder, policy):
+    given, hashes = given_in_full(kind, 1.0, world), set()
+    for hands in (False, True):
+        built = Rollout(world, encoder, policy, hands=hands, fault=kind)
+        hashes.add(record_hash(run(built, policy, given)[1]))
+        assert built.diagram.HasSubsystemNamed("forces") is (hands and kind == "push_hand")
+    assert len(hashes) == 1
+
+
 class Twisted(JointOffset):
     """A fault of somebody else's."""
 
