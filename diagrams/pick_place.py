@@ -33,7 +33,9 @@ from models.files.container import partial_of, write_text
 class DisturbanceArguments(DisturbanceSpec):
     """A DisturbanceSpec, its kind as --disturbance (see systems/disturbance.py; moved: the can alone)."""
 
-    kind: Annotated[str, tyro.conf.arg(name="disturbance", prefix_name=False)] = "A"  # none, A, B or moved
+    # none, A, B, moved (the can alone), or a fault: diagrams/FAULTS.md lists them
+    kind: Annotated[str, tyro.conf.arg(name="disturbance", prefix_name=False)] = "A"
+    severity: Annotated[float, tyro.conf.arg(prefix_name=False)] = 1.0  # of a fault, 0 to 1
 
 
 @dataclass
@@ -124,7 +126,8 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
     for distraction in ("/Grid", "/Axes"):
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
-    shown = dict(meshcat=meshcat, video=video, hands=bool(cli.hands))
+    fault = episode.disturbance.kind if episode.disturbance.fault else None
+    shown = dict(meshcat=meshcat, video=video, hands=bool(cli.hands), fault=fault)
     rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, **shown)
     if cli.policy is None:
         require_named(rollout.policy, cli.rnn, controller.policy)
@@ -134,7 +137,8 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
     clock = RealTime(cli.world.timing.period, cli.realtime_rate)
     if cli.meshcat:
         print(f"live view: {meshcat.web_url()}")
-    (x, y), kind = episode.can_xy, episode.disturbance.kind
+    (x, y), kind = episode.can_xy, episode.disturbance.label
+    kind += f" at severity {episode.disturbance.severity:g}" if fault else ""
     print(f"can at ({x:.3f}, {y:.3f}) m, {episode.vacant} spot vacant, disturbance {kind}", flush=True)
     meshcat.StartRecording(set_visualizations_while_recording=cli.meshcat)
     profiler = cProfile.Profile()
@@ -194,11 +198,13 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
     print(f"task {word}: " + ", ".join(f"{stage} {'yes' if reached else 'no'}" for stage, reached in stages.items()))
     if episode.hands:
         print("switching not judged: a person's hands were in it")
+    elif episode.disturbance.several:
+        print("switching not judged: the arm was disturbed more than once")
     elif episode.disturbance.takes_arm and not outcome.void:
         delay = outcome.detection_delay_s
         switching = "as it should" if outcome.switch_success else f"failed ({outcome.switch_failure})"
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))
-    if not episode.hands and (missed := broken(record.signals, cli.world.timing.period)):
+    if outcome.judged and (missed := broken(record.signals, cli.world.timing.period)):
         print(f"requirements broken: {', '.join(missed)} (diagrams/world/requirements.stl)")
     rate = f"{outcome.realtime_factor:.1f} times real time"
     print(f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({rate})")

@@ -1,4 +1,4 @@
-"""Registries: the one list of the networks, of the detectors, of the policies, by name; open to other packages."""
+"""Registries: the one list of the networks, detectors, policies and faults, by name; open to other packages."""
 
 import importlib
 import re
@@ -16,13 +16,13 @@ _NAME = re.compile(r"[\w+][\w.+-]{0,99}")
 class Registry(Generic[T]):
     """Classes with an attribute `name`, found by that name, by an entry point, or by `package.module:Class`.
 
-    A package adds its own under the entry point group `hindsight.networks`, `hindsight.detectors` or
-    `hindsight.policies`; `package.module:Class` names one without installing it. Nothing is imported before it is
-    asked for.
+    A package adds its own under the entry point group `hindsight.networks`, `hindsight.detectors`,
+    `hindsight.policies` or `hindsight.faults`; `package.module:Class` names one without installing it. Nothing is
+    imported before it is asked for.
     """
 
     def __init__(self, what: str, entries: dict[str, str], needs: tuple[str, ...] = ()):
-        """`what`: "network", "detector" or "policy", for messages and the group; `entries`: ours, by name.
+        """`what`: "network", "detector", "policy" or "fault", for messages and the group; `entries`: ours, by name.
 
         `needs`: attributes without which a class is none.
         """

@@ -36,4 +36,6 @@ requirement_monitor    watches them while the diagram runs (discrete state)
 switched_controller    all of the controller, as one Diagram
 arguments              checks of constructor arguments
 =====================  =============================================================================================
+
+Faults, which diagrams/FAULTS.md lists, are in the room faults/.
 """

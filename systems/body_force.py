@@ -10,6 +10,15 @@ from pydrake.systems.framework import Context, LeafSystem
 from systems.arguments import require_vector
 
 
+def force_at(body: BodyIndex, point: np.ndarray, force: np.ndarray) -> ExternallyAppliedSpatialForce:
+    """`force` (3,), N, world, without torque, at `point` (3,), m, in the body's frame: as Drake's plant takes it."""
+    made = ExternallyAppliedSpatialForce()
+    made.body_index = body
+    made.p_BoBq_B = point
+    made.F_Bq_W = SpatialForce(tau=np.zeros(3), f=force)
+    return made
+
+
 class BodyForce(LeafSystem):
     """Turns a force into what Drake's MultibodyPlant takes at its port `applied_spatial_force`.
 
@@ -39,8 +48,4 @@ class BodyForce(LeafSystem):
         self.DeclareAbstractOutputPort("spatial_force", kind, self._calc_force, {self._force.ticket()})
 
     def _calc_force(self, context: Context, output) -> None:
-        force = ExternallyAppliedSpatialForce()
-        force.body_index = self._body
-        force.p_BoBq_B = self._point
-        force.F_Bq_W = SpatialForce(tau=np.zeros(3), f=self._force.Eval(context))
-        output.set_value([force])
+        output.set_value([force_at(self._body, self._point, self._force.Eval(context))])

@@ -1,7 +1,7 @@
 """The experimenter's hand: moves the arm away, or stops it, once in an episode (Sec. IV)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
@@ -20,7 +20,8 @@ class DisturbanceParameters:
     kind: str = "none"  # none; A: the arm is moved away; B: it is stopped; moved: something else is, see below
     level: float | None = None  # it begins at the first tick at which the trigger is below, unit of the trigger
     target: list[float] | None = None  # A: where the first components are moved to, unit of the posture
-    hold_ticks: int = 0  # how long the arm is held there (A) or stopped (B), ticks
+    hold_ticks: int = 0  # how long the arm is held there (A) or stopped (B), or a fault acts (0: to the end), ticks
+    severity: float = field(default=1.0, kw_only=True)  # of a fault, 0 to 1; see systems/faults/fault.py
 
 
 class Disturbance(LeafSystem):

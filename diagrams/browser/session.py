@@ -45,7 +45,7 @@ class Session:
         """`weights`: folder of the networks. Raises InputError as `begin` does, WeightsError for a damaged file."""
         self._weights, self._meshcat = weights, meshcat
         self._world, self._sampler = scenario.world, EpisodeSampler(scenario.world)
-        self._rollouts: dict[tuple[str, str, str | None], Rollout] = {}
+        self._rollouts: dict[tuple[str, str, str | None, str | None], Rollout] = {}
         self._chance = np.random.default_rng()  # of postures to move to: they are recorded, the dice are not
         self._holders: set[str] = set()
         self.scene = 0
@@ -83,7 +83,8 @@ class Session:
         self.begin(
             replace(
                 self.scenario, seed=self.scenario.seed + 1, can=None, vacant=None,
-                disturbance=DisturbanceSpec(given.kind), hands=type(self.scenario.hands)(),
+                disturbance=DisturbanceSpec(given.kind, severity=given.severity),
+                hands=type(self.scenario.hands)(),
             )
         )  # fmt: skip
 
@@ -92,10 +93,13 @@ class Session:
         self.begin(replace(self.scenario, **changes, hands=type(self.scenario.hands)()))
 
     def _rollout(self, scenario: Scenario) -> Rollout:
-        chosen = scenario.rnn, scenario.detector, scenario.policy
+        controlled = scenario.rnn, scenario.detector, scenario.policy
+        fault = scenario.disturbance.kind if scenario.disturbance.fault else None
+        chosen = *controlled, fault
         if chosen not in self._rollouts:
-            controller = controller_of(self._weights, *chosen)
-            built = build_rollout(self._world, self._weights / ENCODER, controller, meshcat=self._meshcat, hands=True)
+            controller = controller_of(self._weights, *controlled)
+            shown = dict(meshcat=self._meshcat, hands=True, fault=fault)
+            built = build_rollout(self._world, self._weights / ENCODER, controller, **shown)
             if scenario.policy is None:
                 require_named(built.policy, scenario.rnn, controller.policy)
             self._rollouts[chosen] = built
@@ -229,7 +233,7 @@ class Session:
 
     def _row(self, k: int) -> dict:
         """Tick k in numbers: times s, angles deg, errors over gamma; of the wall clock, s since 1970, when it was."""
-        found, controller = self.rollout.latest(), self.rollout.controller
+        found, controller = self.rollout.log.latest(self._root), self.rollout.controller
         scaling, size = self.rollout.policy.scaling, self.rollout.policy.posture_size
         own = controller.GetMyContextFromRoot(self._root)
         recalled = controller.GetOutputPort("recalled_postures").Eval(own).reshape(-1, size)
@@ -259,7 +263,7 @@ class Session:
         """
         self.require_going()
         if self._shown is None or self._shown[0] != self.ticks:
-            port = self._hands.image
+            port = self._hands.signals["rgb_image"]
             seen = port.Eval(port.get_system().GetMyContextFromRoot(self._root)).data[:, :, :3]
             said = np.zeros_like(seen) if self._decoder is None else self._decoder.decode(self._features)
             self._shown = self.ticks, seen.copy(), said

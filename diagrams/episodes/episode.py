@@ -26,12 +26,12 @@ class Episode:
 
 @dataclass
 class Outcome:
-    """What came of an episode; None where a field has no meaning (undisturbed, never reached, a person's hands)."""
+    """What came of an episode; None where a field has no meaning (undisturbed, never reached, see outcome.py)."""
 
     seed: int
     rnn: str
     detector: str
-    disturbance: str
+    disturbance: str  # its short name
     can_xy: tuple[float, float]  # m, world
     vacant: str
     picked: bool
@@ -61,6 +61,12 @@ class Outcome:
     wall_seconds: float = 0.0
     realtime_factor: float = 0.0
     weights_hash: str = ""
+    severity: float | None = None  # of a fault; None: the disturbance has none
+
+    @property
+    def judged(self) -> bool:
+        """Whether the switching is: the arm was disturbed once at most, and nothing else was wrong."""
+        return self.false_switches is not None
 
     def to_dict(self) -> dict:
         """Plain types, for JSON."""

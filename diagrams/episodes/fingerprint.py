@@ -13,8 +13,8 @@ from models.command_line import ROOT
 ROOMS: tuple[str, ...] = (
     "sdf", "systems", "diagrams/world", "models/inference.py", "models/policy.py", "models/files",
     "models/data/scaling.py", "models/data/windows.py", *(f"diagrams/episodes/{name}.py" for name in (
-        "branching", "calibration", "episode", "outcome", "prefix", "record", "rollout", "runner", "sampling", "space",
-        "switching", "way_home",
+        "branching", "calibration", "controller", "episode", "outcome", "prefix", "record", "rollout", "run_log",
+        "runner", "sampling", "space", "switching", "way_home",
     )),
 )  # fmt: skip
 

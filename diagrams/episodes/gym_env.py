@@ -118,6 +118,8 @@ class PickPlaceEnv(DrakeGymEnv):
         self._scenario = Scenario(can=place, vacant=vacant, disturbance=disturbance, world=self._world)
         with _fitting("disturbance", disturbance, "see DisturbanceSpec"):
             self._scenario.check()
+        if disturbance.fault is not None:
+            raise InputError(f"the environment has no fault '{disturbance.label}': choose none, A, B or moved")
         self._sampler = EpisodeSampler(self._world)
         period, initial = self._world.timing.period, self._world.initial_posture
         builder = DiagramBuilder()

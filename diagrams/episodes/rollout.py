@@ -7,46 +7,46 @@ from pathlib import Path
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, System
-from pydrake.systems.primitives import LogVectorOutput, Multiplexer
+from pydrake.systems.primitives import ZeroOrderHold
 
 from diagrams.episodes.calibration import RECALL, Calibration, stored_calibration
 from diagrams.episodes.compatibility import require_trained_for
+from diagrams.episodes.controller import make_controller
 from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.narrator import Narrator
 from diagrams.episodes.outcome import make_outcome
 from diagrams.episodes.prefix import BRANCH_LEVELS, Prefix
 from diagrams.episodes.record import ARRAYS, Record
+from diagrams.episodes.run_log import COMMAND, RunLog
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
 from diagrams.world.clearance_map import add_clearance_filter
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.faults.registry import FAULTS
+from diagrams.world.faults.wiring import FaultInDiagram
 from diagrams.world.ghost import add_ghost
 from diagrams.world.hands import Hands
-from diagrams.world.names import ARM_JOINTS, other_spot
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, other_spot
 from diagrams.world.requirement_watch import RequirementWatch
-from diagrams.world.station import PickPlaceStation, controller_limits
-from diagrams.world.task import HOME_TOLERANCE, TIME_LIMIT, TaskMonitor
+from diagrams.world.station import PickPlaceStation
+from diagrams.world.task import TIME_LIMIT, TaskMonitor
 from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.dialled_detector import DialledDetector
 from systems.disturbance import Disturbance
-from systems.switched_controller import SwitchedController
 
-COMMAND = "desired_posture"  # as it comes out of the clearance filter
-FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into it
-# Outputs that are logged, under their own names: of the controller, and of what watches it.
-LOGGED = ("rnn_step", "regulator_step", COMMAND, "errors", "hidden_state", "predicted_features", "signals")
+FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into the clearance filter
 WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
-JUDGED = ("measured_posture", "alpha", "active", "taken", "can_poses")  # looked at in every tick
 
 
 class Rollout:
     """Station, controller and disturbance, wired as systems/README.md says.
 
     Everything that runs is in `diagram`, all its state in the Context: the loop of a Simulator of one's own, which
-    systems/README.md shows, gives the same bits as `run`. What watches the run is `requirements`.
+    systems/README.md shows, gives the same bits as `run`. What watches the run is `requirements`; `log`: what of it and
+    of the controller is logged.
     """
 
     def __init__(
@@ -59,6 +59,7 @@ class Rollout:
         meshcat=None,
         video: Path | None = None,
         hands: bool = False,
+        fault: str | None = None,
     ):
         """
         Args:
@@ -67,89 +68,71 @@ class Rollout:
             meshcat: where the run is shown.
             video: an .mp4 to write, finished by `self.video.Save()`.
             hands: with a person's hands (`self.hands`, see world/hands.py) between the parts.
+            fault: with the system of this fault (`self.fault`, see world/faults/) between the parts.
 
         Raises InputError for networks, camera and world that do not fit together.
         """
         require_trained_for(world, policy)
         self.world, self.policy = world, policy
         builder = DiagramBuilder()
-        self.station = builder.AddSystem(PickPlaceStation(world, film_camera=video is not None, pulled=hands))
-        lower, upper, speed = controller_limits(self.station)
+        needs = () if fault is None else FAULTS[fault].needs
+        pulled = hands or "applied_spatial_force" in needs
+        self.station = builder.AddSystem(PickPlaceStation(world, True, video is not None, pulled, needs))
         if detector is None:
             detector = DETECTORS[RECALL].build(policy, ARM_JOINTS, {})
             calibration = calibration or stored_calibration(RECALL, policy, Path())
         self.calibration = calibration
         if hands:
             detector = DialledDetector(detector)
-        try:
-            self.controller = SwitchedController(
-                encoder,
-                policy,
-                detector,
-                joints=ARM_JOINTS,
-                regulator_Q=world.regulator.state_weight,
-                regulator_R=world.regulator.input_weight,
-                joint_lower=lower,
-                joint_upper=upper,
-                speed_limits=speed[:ARM_JOINTS],
-                finger_openings=(world.closed_opening, world.opening),
-                finger_thresholds=(world.close_below, world.open_above),
-                period=world.timing.period,
-                image_width=world.camera.width,
-                image_height=world.camera.height,
-                home_tolerance=HOME_TOLERANCE if world.resumption == "reset" else None,
-                empty_below=world.empty_below if world.releases else None,
-            )
-        except ValueError as error:
-            raise InputError(f"the controller cannot be built: {error}") from error
+        self.controller = make_controller(world, self.station, encoder, policy, detector)
         builder.AddNamedSystem("switched_controller", self.controller)
         station, controller, plant, period = self.station, self.controller, self.station.plant, world.timing.period
         disturbance = self.disturbance = Disturbance(posture_size=policy.posture_size, period=period)
         builder.AddNamedSystem("disturbance", disturbance)
         self.can_mover = builder.AddNamedSystem("can_mover", CanMover())
-        image, disturbed, active, place = (
-            system.GetOutputPort(name)
-            for system, name in ((station, "rgb_image"), (disturbance, "disturbed_posture"), (disturbance, "active"),
-                                 (self.can_mover, "can_place"))
-        )  # fmt: skip
-        self.hands = Hands(builder, world, station, disturbed, active, place) if hands else None
-        if self.hands is not None:
-            image, disturbed, active, place = (
-                self.hands.image, self.hands.command, self.hands.active, self.hands.place,
-            )  # fmt: skip
+        signals = {name: station.GetOutputPort(name) for name in ("rgb_image", "posture", "finger_gap")}
+        signals |= {name: disturbance.GetOutputPort(name) for name in ("ticks_since_onset", "active")}
+        signals |= {
+            "desired_posture": disturbance.GetOutputPort("disturbed_posture"),
+            "alpha": controller.GetOutputPort("alpha"), "can_place": self.can_mover.GetOutputPort("can_place"),
+        }  # fmt: skip
+        self.fault, self.hands = None, None
+        if fault is not None:
+            self.fault = FaultInDiagram(builder, station, fault, policy.posture_size, signals)
+            signals = self.fault.signals
+        if hands:
+            self.hands = Hands(builder, world, station, signals)
+            signals = self.hands.signals
             builder.Connect(self.hands.gamma, controller.GetInputPort("gamma"))
-        builder.Connect(image, controller.GetInputPort("rgb_image"))
-        builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
+        if "spatial_force" in signals:
+            builder.Connect(signals["spatial_force"], station.GetInputPort("applied_spatial_force"))
+        builder.Connect(signals["rgb_image"], controller.GetInputPort("rgb_image"))
+        builder.Connect(signals["posture"], controller.GetInputPort("posture"))
         if world.releases:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
         outputs = (controller.GetOutputPort(name) for name in FILTERED)
-        self._command = add_clearance_filter(builder, world, station, *outputs)
-        command = self._command if self.hands is None else self.hands.late(builder, self._command)
+        filtered = add_clearance_filter(builder, world, station, *outputs)
+        command = filtered if self.hands is None else self.hands.late(builder, filtered)
         builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
-        builder.Connect(disturbed, station.GetInputPort("desired_posture"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
-        builder.Connect(place, station.GetInputPort("can_place"))
-        seen = (controller.GetOutputPort("alpha"), active, controller.GetOutputPort("measured_posture"), self._command)
-        self.requirements = RequirementWatch(builder, world, station, *seen)
-        # Logged at a tick, before its update: what the network is fed; all else is still of the tick before.
-        others = {COMMAND: self._command, "signals": self.requirements.signals}
-        logged = [others.get(name) or controller.GetOutputPort(name) for name in LOGGED]
-        self._sizes = [port.size() for port in logged]
-        self._logged = builder.AddNamedSystem("logged", Multiplexer(self._sizes))
-        for i, port in enumerate(logged):
-            builder.Connect(port, self._logged.get_input_port(i))
-        self._log = LogVectorOutput(self._logged.get_output_port(), builder, period)
-        self._input_log = LogVectorOutput(controller.GetOutputPort("network_input"), builder, period)
-        self._log.set_name("log")
-        self._input_log.set_name("network_input_log")
+        for name in ("desired_posture", "can_place"):
+            builder.Connect(signals[name], station.GetInputPort(name))
+        alpha, posture = (controller.GetOutputPort(name) for name in ("alpha", "measured_posture"))
+        self.requirements = RequirementWatch(builder, world, station, alpha, signals["active"], posture, filtered)
+        self.log = RunLog(builder, controller, filtered, self.requirements.signals, period)
         self._ports = {
             name: (system, system.GetOutputPort(name))
             for system, name in (
                 (controller, "measured_posture"), (controller, "alpha"), (self.can_mover, "taken"),
                 (station, "can_poses"), (plant, "state"), (station, "approach_distance"),
+                (disturbance, "ticks_since_onset"),
             )
-        } | {name: (port.get_system(), port) for name, port in (("active", active), ("rgb_image", image))}  # fmt: skip
+        } | {name: (signals[name].get_system(), signals[name]) for name in ("active", "rgb_image")}  # fmt: skip
+        if self.fault is not None and self.fault.alters_posture:  # the truth, which is judged
+            true = builder.AddNamedSystem("true_posture", ZeroOrderHold(period, policy.posture_size))
+            builder.Connect(station.GetOutputPort("posture"), true.get_input_port())
+            self._ports["true_posture"] = true, true.get_output_port()
         self.video = None
         if video is not None:
             from pydrake.visualization import VideoWriter
@@ -168,9 +151,9 @@ class Rollout:
 
     def create_context(self, episode: Episode, calibration: Calibration | None = None) -> Context:
         """A fresh Context of `diagram` for `episode`, at time 0; `calibration` instead of the constructor's."""
-        station, given, context = self.station, episode.disturbance, self.diagram.CreateDefaultContext()
+        station, context = self.station, self.diagram.CreateDefaultContext()
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
-        self._set_disturbance(context, given)
+        self._set_disturbance(context, episode)
         if self.hands is not None:
             self.hands.set(context, episode.hands, episode.seed)
         elif episode.hands:
@@ -183,12 +166,18 @@ class Rollout:
             raise InputError(f"the calibration does not fit the detector: {error}") from error
         return context
 
-    def _set_disturbance(self, context: Context, given: DisturbanceSpec) -> None:
+    def _set_disturbance(self, context: Context, episode: Episode) -> None:
         """In the root Context; its state is left alone."""
-        meter = self.station.approach_meter
+        meter, given, onset = self.station.approach_meter, episode.disturbance, episode.disturbance.onset
         meter.set_subtask(meter.GetMyMutableContextFromRoot(context), given.subtask)
-        self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), given)
-        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), given)
+        self.disturbance.set_parameters(self.disturbance.GetMyMutableContextFromRoot(context), onset)
+        own = given if given.fault is None else DisturbanceSpec()  # what a fault moves, it moves itself
+        self.can_mover.set_parameters(self.can_mover.GetMyMutableContextFromRoot(context), own)
+        if self.fault is not None:
+            stands = np.array([*episode.can_xy, CAN_HALF_HEIGHT])
+            self.fault.set(context, given, episode.seed, stands, self.station.spot(other_spot(episode.vacant)))
+        elif given.fault is not None:
+            raise InputError(f"the episode has the fault '{given.label}', the diagram has none: build it with fault")
 
     def prepare(
         self, episode: Episode, calibration: Calibration | None = None, start: Prefix | None = None
@@ -196,10 +185,12 @@ class Rollout:
         """Puts a Context for `episode` into the simulator: a fresh one, see `create_context`, or a clone of `start`."""
         station = self.station
         context = self.create_context(episode, calibration) if start is None else start.context.Clone()
-        self._set_disturbance(context, episode.disturbance)
+        self._set_disturbance(context, episode)
         self.simulator.reset_context(context)
         self.simulator.Initialize()
         goal, neighbour = station.spot(episode.vacant), station.spot(other_spot(episode.vacant))
+        if self.fault is not None:
+            neighbour = self.fault.neighbour(context, neighbour)
         return TaskMonitor(goal, neighbour, self.world.initial_posture, self.world.timing.period)
 
     def run(
@@ -228,19 +219,25 @@ class Rollout:
         """
         started, period = time.perf_counter(), self.world.timing.period
         monitor = self.prepare(episode, calibration, start)
-        narrator, switching = Narrator(monitor, on_event), Switching(episode.disturbance.takes_arm, period)
+        given = episode.disturbance
+        narrator, switching = Narrator(monitor, on_event), Switching(given.takes_arm, period, given.several)
         root = self.simulator.get_context()
         ports = {name: (port, system.GetMyContextFromRoot(root)) for name, (system, port) in self._ports.items()}
-        judged = [ports[name] for name in JUDGED]
         rows: dict[str, list] = {name: [] if start is None else list(start.rows[name]) for name in ARRAYS}
+        true = list(rows["posture"]) if "true_posture" in ports else rows["posture"]
         way_home = WayHome(self.station)
-        success = diverged = cut = can_moved = homing = False
+        success = diverged = cut = begun = homing = False
         limit, k = round(time_limit / period) + episode.hands.last_tick, 0 if start is None else start.ticks
         put = {int(row[0]) for row in episode.hands.can}
 
+        def evaluated(name: str) -> np.ndarray:
+            port, context = ports[name]
+            return port.Eval(context).copy()
+
         def judge(k: int, taken: bool) -> bool:
             """Tells of row k; whether the arm is at its initial posture."""
-            posture, alpha, active, cans = (rows[name][k] for name in ("posture", "alpha", "active", "can_poses"))
+            alpha, active, cans = (rows[name][k] for name in ("alpha", "active", "can_poses"))
+            posture = true[k]
             home = bool(monitor.home(posture))
             narrator.see(k * period, posture, alpha, active, taken, cans, home)
             switching.see(alpha, active, home)
@@ -264,20 +261,23 @@ class Rollout:
                     raise InputError("the simulation diverges in its first tick: choose a softer world.servo")
                 diverged = True  # what came before is kept
                 break
-            posture, alpha, active, taken, cans = [port.Eval(context).copy() for port, context in judged]
-            alpha, active = float(alpha[0]), bool(active[0] > 0.5)
+            posture, cans = evaluated("measured_posture"), evaluated("can_poses")
+            alpha, active = float(evaluated("alpha")[0]), bool(evaluated("active")[0] > 0.5)
             homing = alpha >= GUARD and not active
             for name, value in (("posture", posture), ("alpha", alpha), ("active", active), ("can_poses", cans)):
                 rows[name].append(value)
+            if true is not rows["posture"]:
+                true.append(evaluated("true_posture"))
+            if not begun and evaluated("ticks_since_onset")[0] >= 0.0:
+                begun = True
+                if given.fault is not None and given.severity:
+                    narrator.say(k * period, f"{given.label} begins")
             if picture_every and k % picture_every == 0:
                 port, context = ports["rgb_image"]
                 rows["picture_ticks"].append(k)
                 rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())
-            home = judge(k, taken[0] > 0.5 or k in put)
-            can_moved |= bool(taken[0] > 0.5)
-            success = (
-                home and not active and monitor.success(cans, np.array(rows["posture"]), self.station.finger_gap(root))
-            )
+            home = judge(k, bool(evaluated("taken")[0] > 0.5) or k in put)
+            success = home and not active and monitor.success(cans, np.array(true), self.station.finger_gap(root))
             cut = switching.over(until)
             rows["tick_seconds"].append(time.perf_counter() - began)
             k += 1
@@ -285,40 +285,18 @@ class Rollout:
                 on_tick(k)
         unfinished = "the simulation diverged" if diverged else f"{until} decided" if cut else "time is up"
         narrator.say((k - 1) * period, "task done" if success else unfinished)
-        arrays = {name: np.array(values) for name, values in rows.items()} | self._logs(k)
+        arrays = {name: np.array(values) for name, values in rows.items()} | self.log.rows(root, k)
         record = Record(events=narrator.events, **arrays | {"time": np.arange(k) * period})
-        seen = monitor, record, switching, way_home, success, diverged, can_moved
-        outcome = make_outcome(episode, *seen, period, self.policy.hash, until)
+        seen = monitor, record, switching, way_home, success, diverged, begun
+        outcome = make_outcome(episode, *seen, period, self.policy.hash, np.array(true), until)
         outcome.wall_seconds = time.perf_counter() - started
         outcome.realtime_factor = outcome.sim_seconds / outcome.wall_seconds
         return outcome, record
 
     def judged(self, name: str) -> np.ndarray:
-        """The value of a port of JUDGED, or of the plant's state, now."""
+        """The value of a port that is looked at in every tick, or of the plant's state, now."""
         system, port = self._ports[name]
         return port.Eval(system.GetMyContextFromRoot(self.simulator.get_context())).copy()
-
-    def latest(self) -> dict[str, np.ndarray]:
-        """What a Record has of the present tick and is logged, by name; the logs are emptied.
-
-        For runs without an end; `run` has no use of it.
-        """
-        root = self.simulator.get_mutable_context()
-        parts = self._logged.get_output_port().Eval(self._logged.GetMyContextFromRoot(root))
-        found = dict(zip(LOGGED, np.split(parts, np.cumsum(self._sizes)[:-1]), strict=True))
-        found["network_input"] = self._input_log.FindLog(root).data()[:, -1].copy()
-        for log in (self._log, self._input_log):
-            log.FindMutableLog(root).Clear()
-        return found
-
-    def _logs(self, ticks: int) -> dict[str, np.ndarray]:
-        """What was logged of the first `ticks` ticks, (ticks, size) by name."""
-        root = self.simulator.get_context()
-        last = self._logged.get_output_port().Eval(self._logged.GetMyContextFromRoot(root))
-        rows = np.vstack((self._log.FindLog(root).data().T[1:], last))[:ticks]
-        parts = np.split(rows, np.cumsum(self._sizes)[:-1], axis=1)
-        network_input = self._input_log.FindLog(root).data().T[:ticks]
-        return dict(zip((*LOGGED, "network_input"), map(np.ascontiguousarray, (*parts, network_input)), strict=True))
 
     def _to_middle(self, k: int, homing: bool, way_home: WayHome, ports: dict) -> bool:
         """To the middle of tick k, see `advance`; on a way home it is looked at after each step of the plant.

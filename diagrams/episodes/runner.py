@@ -9,6 +9,7 @@ from diagrams.episodes.pool import kept_in_thread
 from diagrams.episodes.record import Record
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
+from diagrams.world.faults.registry import is_fault
 from systems.detectors import DETECTORS
 
 KEPT = 2  # diagrams a thread keeps, each with a renderer
@@ -23,6 +24,7 @@ class Job:
     controller: Controller
     seed: int = 0
     kind: str = "none"
+    severity: float = 1.0  # of a fault
     episode: Episode | None = None
     until: Until = "task"  # what the run ends with
     picture_every: int = 0  # see Rollout.run
@@ -59,7 +61,7 @@ def run_branched(job: Job) -> tuple[Outcome, Record, int]:
     from diagrams.episodes.branching import Branches
 
     rollout, episode, calibration = _prepared(job)
-    key = ("branches", repr(job.world), job.encoder, job.controller)
+    key = ("branches", repr(job.world), job.encoder, job.controller, rollout.fault and rollout.fault.kind)
     branches = kept_in_thread(key, lambda: Branches(rollout))
     return branches.run(episode, until=job.until, calibration=calibration)
 
@@ -69,13 +71,16 @@ def _prepared(job: Job):
     from diagrams.episodes.sampling import EpisodeSampler
 
     controller, world = job.controller, repr(job.world)
-    parts = ("rollout", world, job.encoder, controller.policy, controller.detector, controller.spec)
-    rollout = kept_in_thread(parts, lambda: build_rollout(job.world, job.encoder, controller), KEPT)
+    kind = job.kind if job.episode is None else job.episode.disturbance.kind
+    fault = kind if is_fault(kind) else None
+    parts = ("rollout", world, job.encoder, controller.policy, controller.detector, controller.spec, fault)
+    rollout = kept_in_thread(parts, lambda: build_rollout(job.world, job.encoder, controller, fault=fault), KEPT)
     episode = job.episode
     if episode is None:
         sampler = kept_in_thread(("sampler", world), lambda: EpisodeSampler(job.world))
         detector = DETECTORS.label(controller.detector)
-        episode = sampler.sample(job.seed, job.kind, rnn=rollout.policy.name, detector=detector)
+        names = dict(rnn=rollout.policy.name, detector=detector)
+        episode = sampler.sample(job.seed, job.kind, **names, severity=job.severity)
     calibration = controller.calibration or kept_in_thread(
         ("calibration", controller),
         lambda: stored_calibration(controller.detector, rollout.policy, controller.policy.parent),

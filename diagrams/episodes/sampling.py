@@ -10,6 +10,7 @@ from diagrams.episodes.episode import Episode
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
+from diagrams.world.faults.registry import FAULTS, is_fault, require_kind
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, IN_HAND, LIMIT_MARGIN, MOVED, SPOTS, other_spot
@@ -31,6 +32,8 @@ STOP_TICKS = (15, 25)  # inclusive, B
 HELD_TICKS = 10  # A: at the posture it was moved to
 CAN_TAKEN_SHARE = 0.5  # of the disturbances B in subtask 2
 MOVED_BY = (0.03, 0.06)  # how far a can is moved while the hand approaches it, m
+FROM_START = 10.0  # m: a level that is above every distance, of what is so from the first tick on
+ON_SHELF = 0.05  # m: how far from its spot the other can may be put
 # Seeds of one purpose never meet those of another: see episode_seeds.
 SEED_BASE = {
     "validation": 1_000_000, "evaluation": 2_000_000, "certificate": 3_000_000, "defeat": 4_000_000,
@@ -93,8 +96,9 @@ class EpisodeSampler:
         vacant: str | None = None,
         rnn: str = "lstm",
         detector: str = "recall",
+        severity: float = 1.0,
     ) -> Episode:
-        """The episode of `seed` under a disturbance of `kind`.
+        """The episode of `seed` under a disturbance of `kind`; of a fault, of that `severity`.
 
         `can_xy` (m, world) and `vacant` replace what would be sampled, without changing the rest. Raises InputError for
         a can that the arm cannot reach.
@@ -106,6 +110,8 @@ class EpisodeSampler:
         other_spot(vacant)  # there is one
         self.require_reachable(can_xy)
         disturbance, clear = self._disturbance(experimenter, kind, can_xy, vacant)
+        if disturbance.fault is not None:
+            disturbance.severity = severity
         return Episode(seed, can_xy, vacant, disturbance, rnn, detector, clear)
 
     def episode(self, scenario: Scenario) -> Episode:
@@ -115,15 +121,18 @@ class EpisodeSampler:
         """
         given, rnn, detector = scenario.disturbance, scenario.label, DETECTORS.label(scenario.detector)
         kind = given.kind if given.level is None else "none"
-        episode = self.sample(scenario.seed, kind, scenario.can, scenario.vacant, rnn, detector)
+        episode = self.sample(scenario.seed, kind, scenario.can, scenario.vacant, rnn, detector, given.severity)
         self._require_hands(scenario.hands)
         episode = replace(episode, hands=scenario.hands)
         if given.level is None or given.kind == "none":
             return episode
-        if given.target is not None:
-            self._require_within("disturbance.target", given.target)
+        for first in range(0, len(given.target or []), ARM_JOINTS):
+            self._require_within("disturbance.target", (given.target or [])[first : first + ARM_JOINTS])
         if given.can_moved_to is not None:
-            self.require_reachable(given.can_moved_to)
+            if getattr(given.fault, "moves", 0):
+                self._require_on_shelf(given.can_moved_to, episode.vacant)
+            else:
+                self.require_reachable(given.can_moved_to)
         return replace(episode, disturbance=given, way_home_clear=None)
 
     def _require_hands(self, hands: HandsSchedule) -> None:
@@ -140,6 +149,15 @@ class EpisodeSampler:
             raise InputError(
                 f"{name} {target} rad is outside of the joint limits: "
                 f"choose from {self._hand.lower.round(2).tolist()} to {self._hand.upper.round(2).tolist()}"
+            )
+
+    def _require_on_shelf(self, place: list[float], vacant: str) -> None:
+        """Raises InputError unless the other can may be put at `place`, x and y, m, world."""
+        spot = self._checker.spot(other_spot(vacant))[:2]
+        if np.linalg.norm(np.array(place) - spot) > ON_SHELF:
+            raise InputError(
+                f"disturbance.can_moved_to {place} m is not on the shelf: choose a place within {ON_SHELF} m of "
+                f"{spot.round(3).tolist()}"
             )
 
     def onset_posture(self, episode: Episode) -> np.ndarray:
@@ -187,7 +205,10 @@ class EpisodeSampler:
     ) -> tuple[DisturbanceSpec, bool | None]:
         """And whether the straight way home from it is clear; None: the arm is not disturbed."""
         # First what the scene has no say in, so that another can or spot leaves it as it is.
-        subtask = int(rng.integers(1, 3)) if kind != MOVED else 1
+        require_kind(kind)
+        fault = FAULTS[kind] if is_fault(kind) else None
+        fixed = 1 if kind == MOVED else None if fault is None else fault.subtask
+        subtask = int(rng.integers(1, 3)) if fixed is None else fixed
         hold = int(rng.integers(*STOP_TICKS, endpoint=True))
         taken = subtask == 2 and rng.uniform() < CAN_TAKEN_SHARE
         elsewhere = self.unlearned_position(rng)
@@ -196,15 +217,15 @@ class EpisodeSampler:
         level = float(rng.uniform(*ONSET_LEVELS[subtask]))
         if kind == MOVED:
             return DisturbanceSpec(MOVED, level, subtask=1, can_moved_to=list(self._moved(rng, can_xy))), None
+        if fault is not None:
+            return self._fault(rng, kind, fault, level, hold, subtask, can_xy, vacant), None
         approach = self.approach(subtask, can_xy, vacant)
         start = approach.joints_at(level)
         if kind == "B":
             given, left_at = DisturbanceSpec("B", level, None, hold, subtask, list(elsewhere) if taken else None), start
-        elif kind == "A":
+        else:
             left_at = self._deflected(rng, start, approach)
             given = DisturbanceSpec("A", level, left_at.tolist(), HELD_TICKS, subtask)
-        else:
-            raise InputError(f"there is no disturbance '{kind}': choose none, A, B or {MOVED}")
         return given, self.way_home_clear(given, left_at, vacant)
 
     def way_home_clear(self, given: DisturbanceSpec, left_at: np.ndarray, vacant: str) -> bool:
@@ -213,15 +234,40 @@ class EpisodeSampler:
             self._checker.set_scene(np.array(given.can_moved_to), vacant, self._world.closed_opening)
         return self._checker.path_touches(left_at, self._home) is None
 
-    def _moved(self, rng: np.random.Generator, can_xy: XY) -> XY:
-        """World x, y (m) MOVED_BY from `can_xy`, in the trained positions' convex hull."""
+    def _fault(
+        self, rng: np.random.Generator, kind: str, fault, level: float, hold: int, subtask: int, can_xy: XY, vacant: str
+    ) -> DisturbanceSpec:
+        """What a fault of the class `fault` does at severity 1; the rest of its chance is in its system."""
+        given = DisturbanceSpec(kind, FROM_START if fault.from_start else level, subtask=subtask)
+        given.hold_ticks = HELD_TICKS if fault.targets else 0 if fault.lasts else hold
+        if (by := getattr(fault, "moved_by", None)) is not None:
+            given.can_moved_to = list(self._beside(rng, vacant, by) if fault.moves else self._moved(rng, can_xy, by))
+        if fault.targets:
+            approach = self.approach(subtask, can_xy, vacant)
+            targets = [self._deflected(rng, approach.joints_at(level), approach)]
+            while len(targets) < fault.targets:  # somewhere on the way home, or at home
+                start = fault.home_share * self._home + (1.0 - fault.home_share) * targets[-1]
+                targets.append(self._deflected(rng, start, approach))
+            given.target = np.concatenate(targets).tolist()
+        return given
+
+    def _beside(self, rng: np.random.Generator, vacant: str, by: tuple[float, float]) -> XY:
+        """World x, y (m) `by` from where the other can stands on the shelf, not nearer to the vacant spot."""
+        stands, free = self._checker.spot(other_spot(vacant))[:2], self._checker.spot(vacant)[:2]
+        outward = np.arctan2(*(stands - free)[::-1])
+        angle, distance = outward + rng.uniform(-np.pi / 2, np.pi / 2), rng.uniform(*by)
+        x, y = stands + distance * np.array([np.cos(angle), np.sin(angle)])
+        return float(x), float(y)
+
+    def _moved(self, rng: np.random.Generator, can_xy: XY, by: tuple[float, float] = MOVED_BY) -> XY:
+        """World x, y (m) `by` from `can_xy`, in the trained positions' convex hull."""
         for _ in range(10_000):
-            angle, distance = rng.uniform(-np.pi, np.pi), rng.uniform(*MOVED_BY)
+            angle, distance = rng.uniform(-np.pi, np.pi), rng.uniform(*by)
             xy = np.array(can_xy) + distance * np.array([np.cos(angle), np.sin(angle)])
             if self._trained_area.PointInSet(xy):
                 return float(xy[0]), float(xy[1])
         raise InputError(
-            f"no place of the trained area is {MOVED_BY[0]} to {MOVED_BY[1]} m from the can at {can_xy}: "
+            f"no place of the trained area is {by[0]} to {by[1]} m from the can at {can_xy}: "
             "choose another place with --can"
         )
 

@@ -33,6 +33,7 @@ class Switching:
 
     disturbed: bool  # whether the arm is to be disturbed
     period: float  # s
+    several: bool = False  # whether it is disturbed more than once: then no success of the switching is defined
     ticks: int = 0  # seen
     crossings: int = 0  # of alpha through 1/2, up and down
     false_switches: int = 0  # rises through 1/2 before the onset
@@ -46,6 +47,8 @@ class Switching:
     home: int | None = None
     resumed: int | None = None
     failed: int | None = None  # at which tick `failure` was decided
+    _lost: int = 0  # ticks in which the arm was disturbed, or led home after that to where the network had it again
+    _led: int = 0  # ticks of the way home that is under way
     _last_home: int | None = None
     _resumed_as_in_paper: bool = False
     _high: bool = False
@@ -72,6 +75,10 @@ class Switching:
     def _see_disturbed(self, k: int, alpha: float, active: bool, at_home: bool, rises: bool) -> None:
         """A tick from the onset on."""
         high = alpha >= GUARD
+        self._lost += active
+        self._led += not active and alpha > RESUMED
+        if alpha <= RESUMED:
+            self._lost, self._led = self._lost + self._led, 0
         if self.end is None and not active:
             self.end = k
         if self.detected is None and self.end is None and alpha >= DETECTED:
@@ -152,7 +159,12 @@ class Switching:
 
     @property
     def ticks_disturbed(self) -> int:
-        """From the onset until the network has the arm again; else the disturbance alone, as far as it has come."""
+        """From the onset until the network has the arm again; else the disturbance alone, as far as it has come.
+
+        Of several disturbances, those ticks of each.
+        """
         if self.onset is None:
             return 0
+        if self.several:
+            return self._lost
         return next(k for k in (self.resumed, self.end, self.ticks) if k is not None) - self.onset

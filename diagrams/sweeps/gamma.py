@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from diagrams.sweeps.summary import CELL, cells, controller_name
+from diagrams.sweeps.summary import CELL, cells, controller_name, disturbance_name
 
 
 def gamma_curves(rows: pd.DataFrame) -> tuple[dict[str, list], dict[str, tuple[np.ndarray, np.ndarray]]]:
@@ -22,14 +22,16 @@ def gamma_curves(rows: pd.DataFrame) -> tuple[dict[str, list], dict[str, tuple[n
     for cell in sorted(cells(swept), key=lambda cell: cell["gamma"]):
         if not cell["switching"]["n"]:  # each was void
             continue
-        kind = cell["disturbance"]
+        kind = disturbance_name(cell)
         label = f"{controller_name(cell | {'gamma': None})}, {'no disturbance' if kind == 'none' else kind}"
         curves.setdefault(label, []).append({name: cell[name] for name in CELL} | cell["switching"])
     curves = {label: points for label, points in curves.items() if len(points) > 1}
     bounds = {}
     for label, points in curves.items():
         last = points[-1]
-        runs = swept[np.logical_and.reduce([swept[name] == last[name] for name in CELL])]
+        labels = {name: last[name] for name in CELL if name in swept}
+        same = [swept[name].isna() if value is None else swept[name] == value for name, value in labels.items()]
+        runs = swept[np.logical_and.reduce(same)]
         gammas = np.geomspace(points[0]["gamma"], last["gamma"], 200)
         runs = runs[runs["switch_success"].notna()]
         good = runs["error_peak_normal"].to_numpy(float)[:, None] < gammas

@@ -15,12 +15,12 @@ from diagrams.episodes.store import RowStore
 from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
 from diagrams.sweeps.task import FILES, Task
 from diagrams.world.configuration import World
+from diagrams.world.faults.registry import is_fault, kind_label, require_kind, require_severity
 from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
 from models.errors import InputError
 from models.networks import network_label
 from models.policy import POLICIES
 from systems.detectors import DETECTORS
-from systems.disturbance import KINDS
 
 
 @dataclass
@@ -34,7 +34,8 @@ class SweepArguments:
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn, or package.module:Class
     policy: list[str] = field(default_factory=list)  # package.module:Class of one's own, instead of networks
     detector: list[str] = field(default_factory=lambda: ["recall"])  # as in the registry, or package.module:Class
-    disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B; moved: the can alone
+    disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B, moved, faults
+    severity: list[float] = field(default_factory=lambda: [1.0])  # of the faults, 0 to 1
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
     until: Literal["task", "switching"] = "task"  # switching: ends once that has failed; the task is not judged
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
@@ -52,12 +53,14 @@ class SweepArguments:
 
     def check(self) -> None:
         """Raises InputError for a value outside its choices; of networks and detectors `plan` does."""
-        for name in ("rnn", "detector", "disturbance", "training_seeds"):
+        for name in ("rnn", "detector", "disturbance", "severity", "training_seeds"):
             if not getattr(self, name):
                 raise InputError(f"no {name.replace('_', ' ')} given: give one or more")
         for kind in self.disturbance:
-            if kind not in KINDS:
-                raise InputError(f"there is no disturbance '{kind}': choose from {', '.join(KINDS)}")
+            require_kind(kind)
+        faults = [kind for kind in self.disturbance if is_fault(kind)]
+        for severity in self.severity:
+            require_severity((faults or self.disturbance)[0], severity)
         for what, number, least, most in (
             ("number of episodes", self.episodes, 1, SEEDS_APART),
             ("seed", self.seed, 0, SEED_BLOCKS - 1),
@@ -150,7 +153,8 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
             learned = learned_hash(folder, detector, policy.hash) if fitted else None
             calibration = None if gamma is None else own
             controllers.append((rnn, training_seed, detector, gamma, policy.hash, learned, calibration, spec))
-    kinds, asked = _unique(arguments.disturbance), (arguments.purpose, arguments.seed, arguments.episodes)
+    kinds = list(_by_label(kind_label, arguments.disturbance).values())
+    asked = arguments.purpose, arguments.seed, arguments.episodes
     blocked = arguments.way_home == "blocked"  # a search of minutes: last
     if blocked:
         require_takes_arm(kinds)
@@ -159,13 +163,17 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     else:
         seeds = dict.fromkeys(kinds, episode_seeds(*asked))
     files = tuple(name for name in FILES if (arguments.keep_records if name == "records" else arguments.mcap))
+    severities: dict[str, list[float | None]] = {
+        kind: [*_unique(arguments.severity)] if is_fault(kind) else [None] for kind in kinds
+    }
     tasks = [
         Task(
             world, rnn, training_seed, detector, gamma, kind, seed, policy_hash, encoder_hash, learned, calibration,
-            arguments.until, files, spec,
+            arguments.until, files, spec, severity,
         )
         for rnn, training_seed, detector, gamma, policy_hash, learned, calibration, spec in controllers
         for kind in kinds
+        for severity in severities[kind]
         for seed in seeds[kind]
     ]  # fmt: skip
     return tasks, sorted(names)

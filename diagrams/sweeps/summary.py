@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
-from diagrams.world.names import MOVED
+from diagrams.world.names import DISTURBANCES
 
-CELL = ["rnn", "detector", "gamma", "disturbance"]
+CELL = ["rnn", "detector", "gamma", "disturbance", "severity"]
 # Measure: the column that says whether it went well, and what went wrong first. The last is the switching in the
 # paper's words (diagrams/episodes/switching.py).
 MEASURES = {
@@ -20,6 +20,7 @@ MEASURES = {
     "as_paper": ("paper_switch_success", "switch_failure"),
 }
 DELAYS = ("detection_delay_s", "return_s", "resume_s")
+ARM_TAKEN = DISTURBANCES[1:]
 ONE_RETURN = 2  # crossings of the guard: up and down
 DRAWS, BOOTSTRAP_SEED = 4000, 0
 
@@ -112,7 +113,12 @@ def cells(rows: pd.DataFrame) -> list[dict[str, Any]]:
                 entry[measure]["clear"] = judged(clear, *columns)
         # A false alarm that is under way at the onset would count as noticed at once.
         entry |= {name: spread(cell[name][cell["false_switches"] == 0]) for name in DELAYS}
-        if labels["disturbance"] not in ("none", MOVED):
+        if labels["severity"] is not None:
+            kept = cell[run & ~void]
+            alarmed = kept["switched"].to_numpy(bool)
+            entry["alarmed"] = rate(alarmed, kept["seed"].to_numpy(), kept["training_seed"].to_numpy())
+        # A fault that takes the arm once says whether the arm returned, and whatever does not take it says nothing.
+        if labels["disturbance"] in ARM_TAKEN or (labels["severity"] and cell["returned"].notna().any()):
             kept = cell[run & ~void]
             one = (kept["guard_crossings"] <= ONE_RETURN).to_numpy(bool)
             entry["one_return"] = rate(one, kept["seed"].to_numpy(), kept["training_seed"].to_numpy())
@@ -134,7 +140,7 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
     often (`scenes_a`, `scenes_b`). All pairs are listed; none of the p is corrected for their number.
     """
     found = []
-    for labels, group in _groups(rows, ["disturbance", "gamma"]):
+    for labels, group in _groups(rows, ["disturbance", "severity", "gamma"]):
         controllers = [(c["rnn"], c["detector"], part) for c, part in _groups(group, ["rnn", "detector"])]
         for (rnn_a, detector_a, a), (rnn_b, detector_b, b) in itertools.combinations(controllers, 2):
             pairs = a.merge(b, on=["training_seed", "seed"], suffixes=("_a", "_b"))
@@ -168,6 +174,8 @@ def sign_test(a: int, b: int) -> float:
 
 def _groups(rows: pd.DataFrame, columns: list[str]) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
     """Groups in the order in which they come, with plain labels (a missing gamma is None)."""
+    if "severity" not in rows:  # a table of a version that knew no faults
+        rows = rows.assign(severity=None)
     for values, group in rows.groupby(columns, sort=False, dropna=False):
         yield {name: None if pd.isna(v) else v for name, v in zip(columns, values, strict=True)}, group
 
@@ -177,12 +185,14 @@ def table(summary: dict[str, Any]) -> str:
     lines = [f"{'controller':24s} {'dist.':5s} {'':15s} {'rate and 95 % interval':33s} {'over seeds':15s} failed first"]
     for cell in summary["cells"]:
         for measure in (name for name in MEASURES if name in cell):
-            lines.append(f"{controller_name(cell):24s} {cell['disturbance']:5s} {_rate(measure, cell[measure])}")
+            lines.append(f"{controller_name(cell):24s} {disturbance_name(cell):5s} {_rate(measure, cell[measure])}")
             if "clear" in cell[measure]:
                 lines.append(f"{'':30s} {_rate('way home clear', cell[measure]['clear'])}")
         if cell["void"]:
             kinds = f" ({_kinds(cell['void_failures'])})" if cell["void_failures"] else ""
             lines.append(f"{'':30s} void, since the disturbance never came: {cell['void']}{kinds}")
+        if "alarmed" in cell:
+            lines.append(f"{'':30s} {_rate('alarm', cell['alarmed'])}")
         if "one_return" in cell:
             lines.append(f"{'':30s} {_rate('one return', cell['one_return'])}")
             nearest = "" if cell["way_home_m"] is None else f"  nearest {100 * cell['way_home_m']:.1f} cm"
@@ -200,7 +210,7 @@ def table(summary: dict[str, Any]) -> str:
             lines.append(f"{'':30s} median, p95: {'; '.join(delays)}")
     for c in summary["comparisons"]:
         lines.append(
-            f"{c['disturbance']:5s} {c['measure']:9s} {controller_name(c['a'] | {'gamma': c['gamma']})} against "
+            f"{disturbance_name(c):5s} {c['measure']:9s} {controller_name(c['a'] | {'gamma': c['gamma']})} against "
             f"{controller_name(c['b'] | {'gamma': None})}: of {c['n']} only the first {c['only_a']}, only the second "
             f"{c['only_b']}; of {c['scenes']} scenes {c['scenes_a']} and {c['scenes_b']}, p = {c['p']:.2g}"
         )
@@ -224,6 +234,11 @@ def _rate(words: str, r: dict[str, Any]) -> str:
 
 def _kinds(failures: dict[str, int]) -> str:
     return ", ".join(f"{kind} {count}" for kind, count in failures.items())
+
+
+def disturbance_name(labels: dict[str, Any]) -> str:
+    """For people: A, or camera_shift 0.5."""
+    return labels["disturbance"] + ("" if labels.get("severity") is None else f" {labels['severity']:g}")
 
 
 def controller_name(labels: dict[str, Any]) -> str:

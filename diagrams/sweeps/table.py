@@ -38,19 +38,9 @@ _OWN = {
 _OUTCOME = {name: _TYPES.get(kind) or _TYPES[get_args(kind)[0]] for name, kind in get_type_hints(Outcome).items()}
 _ROBUSTNESS = {ROBUSTNESS + name: pa.float64() for name in requirements(World().timing.period)}
 SCHEMA = pa.schema(_OUTCOME | _OWN | _ROBUSTNESS)
-_KNOWN = (
-    "rnn",
-    "training_seed",
-    "detector",
-    "gamma",
-    "disturbance",
-    "seed",
-    "weights_hash",
-    "success",
-    "void",
-    "error",
-)
-_EPISODE = ["rnn", "training_seed", "detector", "gamma", "disturbance", "seed"]
+_EPISODE = ("rnn", "training_seed", "detector", "gamma", "disturbance", "severity", "seed")
+_KNOWN = (*_EPISODE, "weights_hash", "success", "void", "error")
+LATER = ("traceback", "severity", *_ROBUSTNESS)  # columns that tables of earlier versions lack: they are empty
 
 
 def require_rows(path: Path, rows: dict[str, Any]) -> None:
@@ -101,7 +91,7 @@ def read_tables(folders: list[Path]) -> pd.DataFrame:
         except Exception as error:  # of strange bytes pyarrow and pandas raise a dozen types
             words = " ".join(str(error).split())[:200]
             raise InputError(f"{path} is damaged ({words}): delete it, and run the sweep again") from error
-        missing = [name for name in SCHEMA.names if name not in table.columns and name != "traceback"]
+        missing = [name for name in SCHEMA.names if name not in table.columns and name not in LATER]
         if missing:
             raise InputError(
                 f"{path} has no column {', '.join(missing)}, another version of sweep.py wrote it: "
@@ -118,7 +108,7 @@ def read_tables(folders: list[Path]) -> pd.DataFrame:
                 f"{path} has another type in the column {', '.join(other)}, another version of sweep.py wrote it: run "
                 "the sweep again, with another --out"
             )
-        tables.append(table.astype(object))
+        tables.append(table.reindex(columns=list(dict.fromkeys([*table.columns, *LATER]))).astype(object))
     rows = pd.concat(tables, ignore_index=True).infer_objects()
     if rows.duplicated(_EPISODE).any():
         raise InputError(

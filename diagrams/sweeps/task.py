@@ -15,13 +15,15 @@ from diagrams.episodes.record import PICTURE_EVERY, record_bytes, stretches
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
+from diagrams.world.faults.registry import kind_label
 from diagrams.world.names import ENCODER
 from diagrams.world.requirements import robustness_of
 from models.errors import InputError
 from systems.detectors import DETECTORS
 
 HASHES = ("weights_hash", "encoder_hash", "detector_hash")
-ROBUSTNESS = "robustness_"  # columns: of each requirement of requirements.stl, see robustness_of
+# Columns: of each requirement of requirements.stl, see robustness_of; None where the switching is not judged.
+ROBUSTNESS = "robustness_"
 # Entries of a row that are no column of the table: by the folder in --out, the content of a file there, and its suffix.
 FILES = {"records": ".npz", "mcap": ".mcap"}
 
@@ -48,6 +50,7 @@ class Task:
     until: Until = "task"
     files: tuple[str, ...] = ()  # sent along, of FILES
     policy: str | None = None  # package.module:Class, whose name `rnn` is then
+    severity: float | None = None  # of a fault; None: of no fault
     code: str = dataclasses.field(default_factory=code_hash)  # that the sweep was started with
 
     @property
@@ -56,12 +59,14 @@ class Task:
         gamma = "own" if self.gamma is None else repr(self.gamma)
         end = "" if self.until == "task" else f"-{self.until}"
         detector = DETECTORS.label(self.detector)
-        return f"{self.rnn}-{self.training_seed}-{detector}-{gamma}-{self.disturbance}-{self.seed}{end}"
+        kind = kind_label(self.disturbance) + ("" if self.severity is None else f"-{self.severity!r}")
+        return f"{self.rnn}-{self.training_seed}-{detector}-{gamma}-{kind}-{self.seed}{end}"
 
     def labels(self) -> dict[str, Any]:
         """Columns of a row that are known before the episode is run."""
-        names = ("rnn", "training_seed", "gamma", "disturbance", "seed", *HASHES)
-        return {name: getattr(self, name) for name in names} | {"detector": DETECTORS.label(self.detector)}
+        names = ("rnn", "training_seed", "gamma", "severity", "seed", *HASHES)
+        labels = {"detector": DETECTORS.label(self.detector), "disturbance": kind_label(self.disturbance)}
+        return {name: getattr(self, name) for name in names} | labels
 
 
 def run_task(folder: Path, task: Task) -> dict[str, Any]:
@@ -76,20 +81,21 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
         controller = Controller(path, task.detector, task.calibration, task.policy)
         until, every = task.until, 1 if "mcap" in task.files else PICTURE_EVERY if task.files else 0
         job = Job(
-            task.world, folder / ENCODER, controller, task.seed, task.disturbance, until=until, picture_every=every
-        )
+            task.world, folder / ENCODER, controller, task.seed, task.disturbance,
+            1.0 if task.severity is None else task.severity, until=until, picture_every=every,
+        )  # fmt: skip
         outcome, record = run_episode(job)
         if outcome.weights_hash != task.weights_hash:
             raise InputError(
                 f"{task.policy or controller.policy} was changed under the sweep: put it back, then --retry-errors"
             )
-        (before, after), period = stretches(record), task.world.timing.period
+        (before, after), kept = stretches(record), robustness_of(record.signals, task.world.timing.period)
         row = {
             **outcome.to_dict(),
             **task.labels(),
             "error_peak_normal": _peak(record.errors[before]),
             "error_peak_disturbed": _peak(record.errors[after]),
-            **{ROBUSTNESS + name: value for name, value in robustness_of(record.signals, period).items()},
+            **{ROBUSTNESS + name: value if outcome.judged else None for name, value in kept.items()},
             "error": None,
             "traceback": None,
         }

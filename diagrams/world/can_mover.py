@@ -1,6 +1,7 @@
 """The can is put elsewhere on the desk, once, in the middle of a tick: out of the hand, or while the hand comes."""
 
 import math
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -15,19 +16,35 @@ from diagrams.world.names import CAN_HALF_HEIGHT
 def declare_can_place(plant: MultibodyPlant, can: RigidBody, timing: Timing) -> InputPort:
     """Declares an input of the finalized `plant` and an event that, in the middle of each tick, puts `can` there.
 
-    An event writes no state but its own system's: so it is one of the plant. The input, returned, is `can_place` (2,),
-    x and y on the desk, m, world: the can stands there from the middle of the tick on, upright, at rest. Where it is
-    NaN, or not connected, the can stays where it is.
+    The input, returned, is `can_place` (2,), x and y on the desk, m, world: the can stands there upright, see
+    `declare_pose`.
     """
-    port = plant.DeclareVectorInputPort("can_place", 2)
+    return declare_pose(plant, can, timing, "can_place", 2, lambda place: (1.0, 0.0, 0.0, 0.0, *place, CAN_HALF_HEIGHT))
+
+
+def declare_pose(
+    plant: MultibodyPlant,
+    can: RigidBody,
+    timing: Timing,
+    name: str,
+    size: int = 7,
+    pose: Callable[[np.ndarray], Iterable[float]] = tuple,
+) -> InputPort:
+    """Declares the input `name` (size,) and an event that, in the middle of each tick, puts `can` as it says.
+
+    An event writes no state but its own system's: so it is one of the plant. `pose` makes quaternion wxyz and position
+    (m, world) of the input: there the can is from the middle of the tick on, at rest. Where the input is NaN, or not
+    connected, the can stays where it is.
+    """
+    port = plant.DeclareVectorInputPort(name, size)
     q = can.floating_positions_start()
     v = plant.num_positions() + can.floating_velocities_start_in_v()
 
     def put(context: Context, state: State) -> EventStatus:
-        if not port.HasValue(context) or np.isnan(place := port.Eval(context)).any():
+        if not port.HasValue(context) or np.isnan(given := port.Eval(context)).any():
             return EventStatus.DidNothing()
         x = state.get_mutable_discrete_state().get_mutable_value()
-        x[q : q + 7] = 1.0, 0.0, 0.0, 0.0, *place, CAN_HALF_HEIGHT
+        x[q : q + 7] = tuple(pose(given))
         x[v : v + 6] = 0.0
         return EventStatus.Succeeded()
 

@@ -1,6 +1,7 @@
 """A person's hands in the diagram: what they did, tick by tick, and the systems that do it again."""
 
 import numpy as np
+from pydrake.multibody.plant import ExternallyAppliedSpatialForceMultiplexer
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import Adder
 
@@ -24,9 +25,9 @@ class Hands:
     """The systems of a person's hands, wired between the parts of a Rollout.
 
     Attributes:
-        image, command, place, active: output ports: the picture for the controller, the command for the arm, where the
-            can is put (2,), and how many, the experimenter and the person, hold or move the arm: 0 to 2, pulls not
-            counted.
+        signals: output ports, those of the constructor with these in their places: rgb_image, the picture for the
+            controller; desired_posture, the command for the arm; can_place, where the can is put (2,); active, how
+            many, the experimenter and the person, hold or move the arm: 0 to 2, pulls not counted; spatial_force.
         gamma: output port: the detector's gamma (1,), NaN for its own.
     """
 
@@ -35,12 +36,16 @@ class Hands:
         builder: DiagramBuilder,
         world: World,
         station: PickPlaceStation,
-        command: OutputPort,
-        active: OutputPort,
-        place: OutputPort,
+        signals: dict[str, OutputPort],
     ):
-        """Adds them to `builder`; `command`, `active`, `place`: as they are without a person, see the attributes."""
+        """Adds them to `builder`; `signals`: as they are without a person, see the attribute.
+
+        And `spatial_force`, if a fault pulls at the arm too.
+        """
         period, plant = world.timing.period, station.plant
+        image, command, active, place = (
+            signals[name] for name in ("rgb_image", "desired_posture", "active", "can_place")
+        )
         self._schedules = {
             name: builder.AddNamedSystem(f"hands_{name}", SignalSchedule(initial=initial, period=period))
             for name, initial in INITIAL.items()
@@ -51,7 +56,7 @@ class Hands:
         self._late_step = builder.AddNamedSystem("late_step", LateStep(posture_size=command.size(), period=period))
         builder.Connect(self._schedules["late"].get_output_port(), self._late_step.GetInputPort("severity"))
         fault = builder.AddNamedSystem("camera_fault", CameraFault(world.camera.width, world.camera.height, period))
-        builder.Connect(station.GetOutputPort("rgb_image"), fault.GetInputPort("rgb_image"))
+        builder.Connect(image, fault.GetInputPort("rgb_image"))
         builder.Connect(camera, fault.GetInputPort("fault"))
         hand = builder.AddNamedSystem(
             "manual_disturbance", ManualDisturbance(posture_size=command.size(), joints=ARM_JOINTS, period=period)
@@ -63,17 +68,21 @@ class Hands:
             "pull", BodyForce(grasp.body().index(), grasp.GetFixedPoseInBodyFrame().translation())
         )
         builder.Connect(force, pull.get_input_port())
-        builder.Connect(pull.get_output_port(), station.GetInputPort("applied_spatial_force"))
+        forces = pull.get_output_port()
+        if "spatial_force" in signals:
+            both = builder.AddNamedSystem("forces", ExternallyAppliedSpatialForceMultiplexer(2))
+            for i, port in enumerate((forces, signals["spatial_force"])):
+                builder.Connect(port, both.get_input_port(i))
+            forces = both.get_output_port()
+        self.signals = signals | {"spatial_force": forces}
         first = builder.AddNamedSystem("can_place", FirstGiven(place.size()))
         builder.Connect(can, first.GetInputPort("first"))
         builder.Connect(place, first.GetInputPort("second"))
         either = builder.AddNamedSystem("disturbed", Adder(2, 1))
         builder.Connect(active, either.get_input_port(0))
         builder.Connect(hand.GetOutputPort("active"), either.get_input_port(1))
-        self.image, self.command, self.place, self.active = (
-            system.get_output_port() if name is None else system.GetOutputPort(name)
-            for system, name in ((fault, None), (hand, "disturbed_posture"), (first, None), (either, None))
-        )
+        self.signals |= {"rgb_image": fault.get_output_port(), "can_place": first.get_output_port()}
+        self.signals |= {"desired_posture": hand.GetOutputPort("disturbed_posture"), "active": either.get_output_port()}
 
     def late(self, builder: DiagramBuilder, command: OutputPort) -> OutputPort:
         """What the experimenter, and the arm, get of the controller's `command`, whose step may be late."""

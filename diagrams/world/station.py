@@ -34,7 +34,7 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
 from diagrams.world.approach_meter import ApproachMeter
-from diagrams.world.can_mover import declare_can_place
+from diagrams.world.can_mover import declare_can_place, declare_pose
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS, DIRECTIVES, FINGERS, SPOTS, other_spot
 from diagrams.world.parts import CAMERAS, require_parts
@@ -138,10 +138,14 @@ class PickPlaceStation(Diagram):
         name: PickPlaceStation
         input_ports:
         - desired_posture
+        - told_posture
         - can_place
+        - can_pose
+        - neighbour_pose
         - applied_spatial_force
         output_ports:
         - posture
+        - joint_angles
         - finger_gap
         - rgb_image
         - can_poses
@@ -152,6 +156,10 @@ class PickPlaceStation(Diagram):
     - `desired_posture` (8): joint angles, rad, and gap of the fingers, m, that the servo tracks.
     - `can_place` (2): see `declare_can_place`; need not be connected.
     - `applied_spatial_force`: list of ExternallyAppliedSpatialForce on bodies of the plant; with pulled=True only.
+    - `can_pose` (7): quaternion wxyz and position, m, world, of the can to pick, see `declare_pose`; only in `extra`.
+    - `neighbour_pose` (7): the same of the other can; only in `extra`.
+    - `told_posture` (8): what `posture` takes the fingers' command from, instead of `desired_posture`; as the next one.
+    - `joint_angles` (7): as they are, rad, at any time; only in `extra`.
     - `posture` (8): measured joint angles, rad, and the gap of the fingers as commanded, m.
     - `finger_gap` (1): that gap as measured, m; it stalls on the can.
     - `rgb_image`: RGBA image of the fixed camera, `World.camera` pixels; absent with camera=False.
@@ -161,10 +169,10 @@ class PickPlaceStation(Diagram):
     - `film_image`: RGBA image of a camera for people, `FILM` pixels; with film_camera=True only.
     """
 
-    def __init__(self, world: World, camera: bool = True, film_camera: bool = False, pulled: bool = False):
+    def __init__(self, world: World, camera=True, film_camera=False, pulled=False, extra: tuple[str, ...] = ()):
         """`camera`: render for the network; `film_camera`: for people too; `pulled`: with a port for forces.
 
-        Raises InputError without a renderer.
+        `extra`: more ports that a fault needs, see above. Raises InputError without a renderer.
         """
         super().__init__()
         self.world = world
@@ -184,9 +192,12 @@ class PickPlaceStation(Diagram):
         self._set_default_cans()
         self.arm = self.plant.GetModelInstanceByName("arm")
         self.gripper = self.plant.GetModelInstanceByName("gripper")
-        self._wire_servo(builder)
+        self._wire_servo(builder, told="joint_angles" in extra)
         self._wire_gravity_compensation(builder)
         builder.ExportInput(declare_can_place(self.plant, can_body(self.plant, CANS[0]), world.timing), "can_place")
+        for name, can in zip(("can_pose", "neighbour_pose"), CANS, strict=True):
+            if name in extra:
+                builder.ExportInput(declare_pose(self.plant, can_body(self.plant, can), world.timing, name), name)
         if pulled:
             builder.ExportInput(self.plant.get_applied_spatial_force_input_port(), "applied_spatial_force")
         if camera:
@@ -224,7 +235,7 @@ class PickPlaceStation(Diagram):
         for can, xyz in zip(CANS, ([*centre, CAN_HALF_HEIGHT], shelf), strict=True):
             self.plant.SetDefaultFloatingBaseBodyPose(can_body(self.plant, can), RigidTransform(xyz))
 
-    def _wire_servo(self, builder: DiagramBuilder) -> None:
+    def _wire_servo(self, builder: DiagramBuilder, told: bool) -> None:
         n, eye = ARM_JOINTS, np.eye(ARM_JOINTS + 1)
         opening = builder.AddNamedSystem("opening", MatrixGain(eye[n:]))
         # Desired states: positions, then velocities 0.
@@ -234,8 +245,12 @@ class PickPlaceStation(Diagram):
         joints = builder.AddNamedSystem("joints", MatrixGain(np.eye(n, 2 * n)))
         posture = builder.AddNamedSystem("posture", Multiplexer([n, 1]))
         builder.ExportInput(arm_target.get_input_port(), "desired_posture")
-        for system in (opening, finger_target):
-            builder.ConnectInput("desired_posture", system.get_input_port())
+        builder.ConnectInput("desired_posture", finger_target.get_input_port())
+        if told:
+            builder.ExportInput(opening.get_input_port(), "told_posture")
+            builder.ExportOutput(joints.get_output_port(), "joint_angles")
+        else:
+            builder.ConnectInput("desired_posture", opening.get_input_port())
         builder.Connect(arm_target.get_output_port(), self.plant.get_desired_state_input_port(self.arm))
         builder.Connect(finger_target.get_output_port(), self.plant.get_desired_state_input_port(self.gripper))
         builder.Connect(self.plant.get_state_output_port(self.arm), joints.get_input_port())

@@ -149,7 +149,7 @@ class Limits:
         self.found: dict[str, list[str]] = {"finite": [], "command": [], "effort": []}
 
     def see(self, k: int, values: dict) -> None:
-        """`values`: of tick `k`, arrays by name, those of Rollout.latest among them."""
+        """`values`: of tick `k`, arrays by name, those of RunLog.latest among them."""
         import numpy as np
 
         from diagrams.world.requirements import SIGNALS
@@ -191,7 +191,7 @@ def goes_on(rollout, chance: Chance, ticks: int) -> dict[str, Any]:
     """`ticks` in the one Context that `rollout` has, with what `chance` draws: a row of plain types."""
     import numpy as np
 
-    limits, period = Limits(rollout), rollout.world.timing.period
+    limits, period, root = Limits(rollout), rollout.world.timing.period, rollout.simulator.get_mutable_context()
     bits, measured, seconds, diverged, picked = hashlib.sha256(), [], [], None, 0
     a_minute = round(60.0 / period)
     for k in tqdm(range(ticks), unit="tick", disable=None, mininterval=1.0):
@@ -202,7 +202,7 @@ def goes_on(rollout, chance: Chance, ticks: int) -> dict[str, Any]:
             break
         seconds.append(time.perf_counter() - began)
         names = ("measured_posture", "alpha", "active", "can_poses", "state")
-        values = rollout.latest() | {name: rollout.judged(name) for name in names}
+        values = rollout.log.latest(root) | {name: rollout.judged(name) for name in names}
         limits.see(k, values)
         for value in values.values():
             bits.update(value.tobytes())

@@ -148,7 +148,8 @@ def record_agrees(signals: np.ndarray, time: np.ndarray, outcome: dict) -> str |
     from diagrams.episodes.episode import DIVERGED
 
     said = outcome["switch_failure"]
-    if (outcome["switch_success"] is None and not outcome["void"]) or said == DIVERGED:
+    judged = outcome["false_switches"] is not None and (outcome["switch_success"] is not None or outcome["void"])
+    if not judged or said == DIVERGED:
         return None
     found = failure_of(signals, float(time[1] - time[0]) if len(time) > 1 else 1.0)
     return None if found == said else f"by the requirements {found}, by the scoring {said}"

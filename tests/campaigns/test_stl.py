@@ -39,12 +39,15 @@ def test_another_value_is_found_and_told(tmp_path, monkeypatch, capsys):
 def test_a_record_that_disagrees_is_told():
     signals, time = np.zeros((40, 7)), 0.1 * np.arange(40)
     signals[:, 4:] = 0.05
-    outcome = {"switch_success": True, "switch_failure": None, "void": False}
+    outcome = {"switch_success": True, "switch_failure": None, "void": False, "false_switches": 0}
     assert record_agrees(signals, time, outcome) is None
     signals[3, 0] = 0.5
     assert record_agrees(signals, time, outcome) == "by the requirements false switch, by the scoring None"
     assert record_agrees(signals, time, outcome | {"switch_failure": "false switch", "switch_success": False}) is None
     assert record_agrees(signals, time, outcome | {"switch_success": None}) is None  # not judged
+    void = {"switch_success": None, "void": True}
+    assert record_agrees(signals, time, outcome | void) == "by the requirements false switch, by the scoring None"
+    assert record_agrees(signals, time, outcome | void | {"false_switches": None}) is None  # a fault that never came
 
 
 def test_rtamt_is_there_where_its_parser_is():

@@ -59,6 +59,8 @@ def untrained(tmp_path_factory):
         (("--realtime-rate", "nan"), ["real-time rate nan is negative or not finite"]),
         (("--rnn", "perceptron"), ["no network 'perceptron'", "choose from", "lstm"]),
         (("--disturbance", "C"), ["no disturbance 'C'", "none, A, B"]),
+        (("--disturbance", "camera_shift", "--severity", "2"), ["severity 2.0 is out of range", "from 0 to 1"]),
+        (("--severity", "0.5"), ["severity 0.5 says nothing to the disturbance 'A'", "leave it out"]),
         (("--replay", "replay.htm"), ["replay.htm", ".html"]),
         (("--vacant", "middle"), ["no vacant spot 'middle'", "left, right"]),
         (("--can", "0.9", "0.0"), ["(0.900, 0.000) m is out of reach", "x in [0.43, 0.63]"]),
@@ -145,6 +147,15 @@ def test_options():
         "g.dot", "v.mp4", "r.html", "r.npz", "p.png", "o.json",
     ]  # fmt: skip
     assert (cli.meshcat, cli.realtime_rate, cli.profile) == (True, 1.0, True)
+
+
+def test_a_fault_and_its_severity_by_options_and_by_file(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text("disturbance: {kind: camera_shift, severity: 0.25, level: 0.1}\n")
+    assert parse(["--disturbance", "payload", "--severity", "0.5"]).disturbance.severity == 0.5
+    for words, severity in ((), 0.25), (("--severity", "0.75"), 0.75):
+        given = parse(["--scenario", str(path), *words]).disturbance
+        assert (given.kind, given.severity, given.level) == ("camera_shift", severity, 0.1)
 
 
 def test_words_come_before_what_takes_long_to_load():

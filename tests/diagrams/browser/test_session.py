@@ -102,8 +102,7 @@ def test_memory_is_bounded(session):
     assert len(session.events) == KEPT_EVENTS
     assert session.events[-1][0] == pytest.approx(0.1 * (KEPT_ROWS + 4))
     root = session.rollout.simulator.get_context()
-    logs = session.rollout._log, session.rollout._input_log
-    assert [log.FindLog(root).num_samples() for log in logs] == [0, 0]
+    assert [log.FindLog(root).num_samples() for log in session.rollout.log.sinks] == [0, 0]
     assert not session._narrator.events
 
 

@@ -168,6 +168,7 @@ def test_a_world_s_file_is_taken():
     ("options", "named"),
     [
         ({"disturbance": "C"}, "no disturbance 'C'"),
+        ({"disturbance": "camera_shift"}, "has no fault 'camera_shift'"),
         ({"disturbance": {"kinds": "A"}}, "does not fit.*kinds"),
         ({"vacant": "middle"}, "no vacant spot 'middle'"),
         ({"can": [0.5]}, "does not have two numbers"),

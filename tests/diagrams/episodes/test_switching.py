@@ -269,3 +269,15 @@ def test_the_time_of_a_disturbance_under_way_counts_too():
     for k in range(30):
         switching.see(0.0, active=k >= 10, at_home=False)
     assert switching.ticks_disturbed == 20
+
+
+def test_each_of_several_disturbances_has_its_time():
+    """Disturbed, led home and taken up again within it; then disturbed alone; then a way home without an end."""
+    switching = Switching(True, PERIOD, several=True)
+    for alpha, active, ticks in ((0.0, 0, 9), (1.0, 1, 5), (1.0, 0, 7), (0.0, 0, 9), (0.0, 1, 4), (0.0, 0, 9),
+                                 (1.0, 1, 3), (1.0, 0, 50)):  # fmt: skip
+        for _ in range(ticks):
+            switching.see(alpha, bool(active), False)
+    assert switching.ticks_disturbed == 5 + 7 + 4 + 3
+    switching.see(0.0, False, True)
+    assert switching.ticks_disturbed == 5 + 7 + 4 + 3 + 50

@@ -53,3 +53,28 @@ def test_two_with_one_name_are_refused(weights):
         plan(asked, World())
     tasks, _ = plan(SweepArguments(episodes=1, rnn=["models.networks.rnn:LSTM"], weights=weights), World())
     assert {task.rnn for task in tasks} == {"lstm"}
+
+
+def test_every_severity_of_a_fault_and_no_other_kind_twice(weights):
+    asked = SweepArguments(episodes=1, disturbance=["A", "camera_shift"], severity=[0.5, 1.0], weights=weights)
+    asked.check()
+    tasks, _ = plan(asked, World())
+    assert [(t.disturbance, t.severity) for t in tasks] == [("A", None), ("camera_shift", 0.5), ("camera_shift", 1.0)]
+    assert [t.key for t in tasks] == [
+        f"lstm-0-recall-own-{kind}-2000000" for kind in ("A", "camera_shift-0.5", "camera_shift-1.0")
+    ]
+    assert tasks[1].labels()["severity"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        (dict(disturbance=["camera_gone"]), "no disturbance 'camera_gone': choose from none, A, B, moved, camera_gain"),
+        (dict(disturbance=["camera_shift"], severity=[0.5, 1.2]), "severity 1.2 is out of range: choose from 0 to 1"),
+        (dict(severity=[0.5]), "severity 0.5 says nothing to the disturbance 'none'"),
+        (dict(severity=[]), "no severity given"),
+    ],
+)
+def test_bad_faults_and_severities_are_named(changes, named):
+    with pytest.raises(InputError, match=named):
+        SweepArguments(**changes).check()

@@ -237,3 +237,20 @@ def test_table_and_json_say_it_all():
         assert words in text
     json.dumps(summary)
     assert "100.0]e" in table({"cells": cells(frame("lstm", [1, 1])), "comparisons": []})
+
+
+def test_severities_of_a_fault_are_cells_of_their_own_and_alarms_are_counted():
+    unjudged = {"switch_success": None, "paper_switch_success": None, "returned": None, "false_switches": None}
+    rows = pd.concat(
+        frame("lstm", [1, 1, 0, 1], disturbance="camera_shift").assign(severity=s, switched=switched, **unjudged)
+        for s, switched in ((0.5, [False] * 4), (1.0, [True, True, True, False]))
+    )
+    weak, strong = cells(rows)
+    assert (weak["severity"], strong["severity"]) == (0.5, 1.0)
+    assert (weak["alarmed"]["successes"], strong["alarmed"]["successes"]) == (0, 3)
+    assert not {"switching", "one_return"} & strong.keys()
+    text = table({"cells": [weak, strong], "comparisons": []})
+    assert "camera_shift 0.5 task " in text
+    assert "alarm              3 of    4" in text
+    assert cells(frame("lstm", [1, 1]))[0]["severity"] is None
+    assert "alarmed" not in cells(frame("lstm", [1, 1]))[0]

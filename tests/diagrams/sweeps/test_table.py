@@ -43,3 +43,10 @@ def test_no_table_or_a_damaged_one(tmp_path):
     (tmp_path / "episodes.parquet").write_bytes(b"PAR1 but no more")
     with pytest.raises(InputError, match=r"episodes.parquet is damaged"):
         read_tables([tmp_path])
+
+
+def test_a_table_of_a_version_without_faults_is_read(tmp_path):
+    sweep(tmp_path / "old")
+    path = tmp_path / "old" / "episodes.parquet"
+    pd.read_parquet(path).drop(columns=["severity"]).to_parquet(path)
+    assert read_tables([tmp_path / "old"])["severity"].isna().all()

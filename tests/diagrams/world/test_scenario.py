@@ -47,7 +47,7 @@ def test_a_missing_file_is_named(tmp_path):
     [
         ({"rnn": "no.module:Network"}, "the network 'no.module:Network' cannot be loaded"),
         ({"detector": "ear"}, "no detector 'ear': choose from recall, knn, subspace"),
-        ({"disturbance": DisturbanceSpec("C")}, "no disturbance 'C': choose one of none, A, B"),
+        ({"disturbance": DisturbanceSpec("C")}, "no disturbance 'C': choose from none, A, B"),
         ({"vacant": "up"}, "no vacant spot 'up': choose one of left, right"),
         ({"seed": -1}, "seed -1 is negative"),
         ({"can": [0.5]}, "does not have two numbers"),

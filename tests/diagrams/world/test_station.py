@@ -115,7 +115,7 @@ def test_limits_of_the_command_are_those_of_the_model(station):
 
 
 def test_ports_are_those_of_the_docstring(world):
-    station = PickPlaceStation(world, film_camera=True, pulled=True)
+    station = PickPlaceStation(world, True, True, True, ("joint_angles", "can_pose", "neighbour_pose"))
     block = re.search(r"pydrake_system::(.*?)\n\n(?!\s+name:)", PickPlaceStation.__doc__, re.DOTALL).group(1)
     inputs, outputs = (re.findall(r"- (\w+)", part) for part in block.split("output_ports:"))
     assert sorted(re.findall(r"^ *- `(\w+)`", PickPlaceStation.__doc__, re.MULTILINE)) == sorted(inputs + outputs)
