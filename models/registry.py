@@ -19,9 +19,15 @@ class Registry(Generic[T]):
     asked for.
     """
 
-    def __init__(self, what: str, entries: dict[str, str]):
-        """`what`: "network", "detector" or "policy", for messages and the group; `entries`: ours, by name."""
-        self.what, self._entries = what, entries
+    def __init__(self, what: str, entries: dict[str, str], families: dict[str, str] | None = None):
+        """
+        Args:
+            what: "network", "detector" or "policy", for messages and the group.
+            entries: ours, by name.
+            families: by a prefix, the function (package.module:function) that makes a class of what stands behind it:
+                `prefix:rest` is function(rest), which raises InputError where there is none.
+        """
+        self.what, self._entries, self._families = what, entries, families or {}
         self.group = f"hindsight.{what}s".replace("ys", "ies")
 
     def __iter__(self) -> Iterator[str]:
@@ -35,6 +41,9 @@ class Registry(Generic[T]):
             choices = f"choose from {', '.join(known)}, or give" if known else "give"
             raise InputError(f"there is no {self.what} '{spec}': {choices} one as package.module:Class")
         module, _, name = known.get(spec, spec).partition(":")
+        if spec not in known and module in self._families:
+            of_family, _, function = self._families[module].partition(":")
+            return getattr(importlib.import_module(of_family), function)(name)
         try:
             entry = getattr(importlib.import_module(module), name)
         except Exception as error:  # another one's module may raise anything

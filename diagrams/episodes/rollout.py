@@ -118,6 +118,8 @@ class Rollout:
                 self.hands.image, self.hands.command, self.hands.active, self.hands.place,
             )  # fmt: skip
             builder.Connect(self.hands.gamma, controller.GetInputPort("gamma"))
+        if controller.HasInputPort("active"):
+            builder.Connect(active, controller.GetInputPort("active"))
         builder.Connect(image, controller.GetInputPort("rgb_image"))
         builder.Connect(station.GetOutputPort("posture"), controller.GetInputPort("posture"))
         if world.releases:

@@ -82,6 +82,7 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     """
     from diagrams.episodes.calibration import (
         RECALL,
+        UNCALIBRATED,
         UNFITTED,
         controller_of,
         detector_file,
@@ -95,8 +96,8 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
 
     folder = arguments.weights
     detectors = _by_label(DETECTORS.label, arguments.detector)
-    if arguments.gamma and "never" in detectors:
-        raise InputError("--gamma says nothing to the detector 'never': leave one of the two out")
+    if arguments.gamma and (deaf := sorted(UNCALIBRATED & set(detectors))):
+        raise InputError(f"--gamma says nothing to the detector '{deaf[0]}': leave one of the two out")
     names = {ENCODER}
     encoder_hash = Encoder(folder / ENCODER).hash
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]
