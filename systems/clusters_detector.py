@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.data.runs import NormalRun, rows_of
+from models.data.runs import Tape, rows_of
 from systems.arguments import require_arrays
 from systems.vector_detector import VectorDetector
 
@@ -38,7 +38,7 @@ class ClustersDetector(VectorDetector):
             raise ValueError(f"axes and centres have the shapes {shapes}; (A, D) and (C, A) are needed: fit again.")
 
     @staticmethod
-    def fit(runs: list[NormalRun]) -> dict[str, np.ndarray]:
+    def fit(runs: list[Tape]) -> dict[str, np.ndarray]:
         """mean (D,), axes (A, D) that explain VARIANCE, centres (CLUSTERS, A); float32."""
         from sklearn.cluster import KMeans
         from sklearn.decomposition import PCA

@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.systems.framework import LeafSystem
 
-from models.data.runs import NormalRun
+from models.data.runs import Tape
 from systems.arguments import require_arrays, require_count, require_vector
 from systems.detector import CalibratedDetector, period_of
 from systems.innovation_detector import JUDGED, feature_innovation, posture_innovation
@@ -42,7 +42,7 @@ class CusumDetector(CalibratedDetector, LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(period_of(policy), 0.0, self._update)
 
     @staticmethod
-    def fit(runs: list[NormalRun]) -> dict[str, np.ndarray]:
+    def fit(runs: list[Tape]) -> dict[str, np.ndarray]:
         """reference (M + 1,): mean squares of each component's innovation, and of the features'."""
         postures = np.vstack([run.recalled_postures[:, 0] - run.posture for run in runs])
         features = np.vstack([(run.predicted_features - run.features)[1:] for run in runs])

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from models.data.runs import NormalRun, rows_of
+from models.data.runs import Tape, rows_of
 from models.networks.perceptron import of_arrays, random_layers, run_perceptron, to_arrays, train_perceptron
 from systems.vector_detector import VectorDetector
 
 HIDDEN, OUT = 128, 32  # units; of target and predictor
-UPDATES, BATCH = 4000, 256
+UPDATES, BATCH = 3000, 128
 RATE = 1e-3
 SPREAD = 1e-3  # least standard deviation that a component is divided by
 
@@ -42,7 +42,7 @@ class DistillationDetector(VectorDetector):
             raise ValueError("target and predictor differ in the number of their outputs: fit again.")
 
     @staticmethod
-    def fit(runs: list[NormalRun]) -> dict[str, np.ndarray]:
+    def fit(runs: list[Tape]) -> dict[str, np.ndarray]:
         """mean, spread (D,); target.i and predictor.i, weights and bias of each layer i; float32. Needs torch."""
         rows = rows_of(runs, *DistillationDetector.reads)
         arrays = standard_of(rows)
@@ -67,7 +67,8 @@ class DistillationDetector(VectorDetector):
     def anomaly(self, rows):
         """See VectorDetector; dimensionless."""
         rows = (rows - self._mean) / self._spread
-        return np.square(run_perceptron(self._predictor, rows) - run_perceptron(self._target, rows)).sum(axis=1)
+        difference = run_perceptron(self._predictor, rows) - run_perceptron(self._target, rows)
+        return np.square(difference.astype(float)).sum(axis=1)
 
 
 def standard_of(rows: np.ndarray) -> dict[str, np.ndarray]:

@@ -65,7 +65,7 @@ class EnsembleDetector(CalibratedDetector, LeafSystem):
         """Returns the detector of what `fit` gave, without the network that acts itself."""
         files = [np.asarray(array, np.uint8).tobytes() for _, array in sorted(arrays.items())]
         others = [content for content in files if hashlib.sha256(content).hexdigest() != policy.hash]
-        return EnsembleDetector(policy, joints, [Policy.of_bytes(content) for content in others])
+        return EnsembleDetector(policy, joints, [Policy("a network of the ensemble", content) for content in others])
 
     def calc_errors(self, context, mean_errors):
         posture = self.recalled_postures.Eval(context)[: self._size]

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from models.data.runs import NormalRun, rows_of
+from models.data.runs import Tape, rows_of
 from models.networks.perceptron import of_arrays, random_layers, run_perceptron, to_arrays, train_perceptron
 from systems.distillation_detector import standard, standard_of
 from systems.vector_detector import VectorDetector
 
 HIDDEN = 128
-STEPS = 8  # of the integration
-UPDATES, BATCH = 6000, 256
+STEPS = 5  # of the integration
+UPDATES, BATCH = 3000, 128
 RATE = 2e-3
 
 
@@ -40,7 +40,7 @@ class FlowDetector(VectorDetector):
         self.require_width(len(self._field[-1][1]))
 
     @staticmethod
-    def fit(runs: list[NormalRun]) -> dict[str, np.ndarray]:
+    def fit(runs: list[Tape]) -> dict[str, np.ndarray]:
         """mean, spread (D,); field.i, weights and bias of each layer i of v, t its last input; float32. Needs torch."""
         rows = rows_of(runs, *FlowDetector.reads)
         arrays = standard_of(rows)

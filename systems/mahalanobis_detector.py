@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.data.runs import NormalRun, rows_of
+from models.data.runs import Tape, rows_of
 from systems.arguments import require_arrays
 from systems.vector_detector import VectorDetector
 
@@ -35,7 +35,7 @@ class MahalanobisDetector(VectorDetector):
             raise ValueError(f"whitening has shape {self._whitening.shape}; it must be square, as mean: fit again.")
 
     @staticmethod
-    def fit(runs: list[NormalRun]) -> dict[str, np.ndarray]:
+    def fit(runs: list[Tape]) -> dict[str, np.ndarray]:
         """mean (S,), whitening (S, S), lower triangular, both float32."""
         from sklearn.covariance import LedoitWolf
 

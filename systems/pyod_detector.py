@@ -8,7 +8,7 @@ import pkgutil
 import numpy as np
 
 from models.command_line import require
-from models.data.runs import NormalRun, rows_of
+from models.data.runs import Tape, rows_of
 from models.errors import InputError
 from systems.arguments import require_arrays
 from systems.vector_detector import VectorDetector
@@ -43,15 +43,20 @@ class PyodDetector(VectorDetector):
         super().__init__(policy)
         rows = np.asarray(rows, float)
         self.require_width(rows.shape[1])
-        self._model = model.fit(rows)
-        scores = self._model.decision_function(rows)
+        before = np.random.get_state()  # noqa: NPY002 (some models draw from numpy's one generator)
+        np.random.seed(SEED)  # noqa: NPY002
+        try:
+            self._model = model.fit(rows)
+            scores = self._model.decision_function(rows)
+        finally:
+            np.random.set_state(before)  # noqa: NPY002
         self._lowest, mean = float(scores.min()), float(scores.mean())
         if not mean > self._lowest or not np.isfinite(scores).all():
             raise ValueError(f"the scores of normal runs are {self._lowest:g} on average: choose another model.")
         self._span = mean - self._lowest
 
     @staticmethod
-    def fit(runs: list[NormalRun]) -> dict[str, np.ndarray]:
+    def fit(runs: list[Tape]) -> dict[str, np.ndarray]:
         """rows (n, D) float32, at most MOST_ROWS, drawn evenly."""
         rows = rows_of(runs, *PyodDetector.reads)
         kept = np.linspace(0, len(rows) - 1, min(len(rows), MOST_ROWS)).round().astype(int)

@@ -6,7 +6,8 @@ import numpy as np
 
 
 def run_perceptron(layers: Sequence[tuple[np.ndarray, np.ndarray]], rows: np.ndarray) -> np.ndarray:
-    """(n, out) of rows (n, in): each layer is (weights (out, in), bias (out,)), ReLU after all but the last."""
+    """(n, out) float32 of rows (n, in): each layer is (weights (out, in), bias (out,)), ReLU after all but the last."""
+    rows = np.asarray(rows, np.float32)
     for weights, bias in layers[:-1]:
         rows = np.maximum(rows @ weights.T + bias, 0.0)
     weights, bias = layers[-1]
@@ -30,11 +31,11 @@ def to_arrays(name: str, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> dic
 
 
 def of_arrays(name: str, arrays: Mapping[str, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """What `to_arrays` gave, as float64; raises ValueError where that is no perceptron."""
+    """What `to_arrays` gave; raises ValueError where that is no perceptron."""
     layers: list[tuple[np.ndarray, np.ndarray]] = []
     while f"{name}.{len(layers)}.weights" in arrays:
         stem = f"{name}.{len(layers)}"
-        weights, bias = (np.asarray(arrays.get(f"{stem}.{part}", 0.0), float) for part in ("weights", "bias"))
+        weights, bias = (np.asarray(arrays.get(f"{stem}.{part}", 0.0), np.float32) for part in ("weights", "bias"))
         if weights.ndim != 2 or bias.shape != weights.shape[:1] or (layers and len(layers[-1][1]) != weights.shape[1]):
             raise ValueError(f"the layer {stem} has the shapes {weights.shape} and {bias.shape}: fit again.")
         layers.append((weights, bias))
