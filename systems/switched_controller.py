@@ -197,6 +197,7 @@ class SwitchedController(Diagram):
             )
             reset = builder.AddNamedSystem("reset_hold", ZeroOrderHold(period, 1))
             gaps = builder.AddNamedSystem("finger_gaps_hold", ZeroOrderHold(period, len(fingers)))
+            assert home is not None  # refused above
             builder.Connect(home.get_output_port(), reset.get_input_port())
             builder.ExportInput(gaps.get_input_port(), "finger_gaps")
             for port, name in ((command, "desired_posture"), (reset.get_output_port(), "reset"),

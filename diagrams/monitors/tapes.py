@@ -73,7 +73,9 @@ def taped(
 
     seeds = episode_seeds("validation", seed, max(counts.values()))
     ends: dict[str, Until] = {kind: "task" if kind == "none" else "detection" for kind in counts}
-    jobs = [Job(world, encoder, controller, s, kind, until=ends[kind]) for kind in counts for s in seeds[: counts[kind]]]
+    jobs = [
+        Job(world, encoder, controller, s, kind, until=ends[kind]) for kind in counts for s in seeds[: counts[kind]]
+    ]
     found = {}
     with tqdm(total=len(jobs), desc=f"{controller.policy.stem} tapes", unit="run", leave=False, disable=None) as bar:
         for job, run in pool.run(run_taped, jobs):

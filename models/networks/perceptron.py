@@ -1,5 +1,6 @@
 """Small perceptrons: trained by torch, run by numpy alone."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -18,13 +19,13 @@ def random_layers(sizes: Sequence[int], rng: np.random.Generator) -> list[tuple[
     """Layers of these sizes, He's initialisation, float32."""
     return [
         (rng.normal(0.0, np.sqrt(2.0 / a), (b, a)).astype(np.float32), np.zeros(b, np.float32))
-        for a, b in zip(sizes[:-1], sizes[1:], strict=True)
+        for a, b in itertools.pairwise(sizes)
     ]
 
 
 def to_arrays(name: str, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
     """The layers as a file keeps them: name.0.weights, name.0.bias, ..."""
-    found = {}
+    found: dict[str, np.ndarray] = {}
     for i, (weights, bias) in enumerate(layers):
         found |= {f"{name}.{i}.weights": weights, f"{name}.{i}.bias": bias}
     return found
