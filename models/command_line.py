@@ -18,6 +18,7 @@ EXTRAS = {
     "gym": ("gymnasium",),
     "sweep": ("dask", "distributed", "pandas", "pyarrow", "scipy", "sklearn"),
     "analysis": ("cmaes", "optuna"),
+    "monitors": ("pyod",),
     "live": ("bokeh", "tornado"),
 }
 ROOT = Path(__file__).resolve().parents[1]  # of the checkout

@@ -17,8 +17,8 @@ class FlowDetector(VectorDetector):
     """l = || z(1) ||^2, dz/dt = v(z, t), z(0) = x = [c_{k-1}, f_k] standardised: -2 log of the density of its noise.
 
     logpZO of FAIL-Detect (Xu et al., RSS 2025, arXiv:2503.08558). v is trained by flow matching (Lipman, Chen,
-    Ben-Hamu, Nickel and Le, ICLR 2023) from normal runs to noise: E || v((1 - t) x + t e, t) - (e - x) ||^2, e Gaussian,
-    t uniform. Integrated by STEPS steps of Euler's method from the data on. torch trains v, numpy runs it.
+    Ben-Hamu, Nickel and Le, ICLR 2023) from normal runs to noise: E || v((1 - t) x + t e, t) - (e - x) ||^2, e
+    Gaussian, t uniform. Integrated by STEPS steps of Euler's method from the data on. torch trains v, numpy runs it.
 
     .. pydrake_system::
 
