@@ -161,7 +161,7 @@ def _learned(arguments: BaselinesArguments, spec: str, policies: dict[Path, Any]
 
 
 def _tapes(arguments: BaselinesArguments, pool: Pool, world: World, path: Path, policy, specs: list[str]):
-    """The runs that the detectors `specs` are fitted and, by the conformal rule, calibrated on; None: they need none."""
+    """The runs that `specs` are fitted to and, by the conformal rule, calibrated on; None: none are needed."""
     conformal = arguments.rule == "conformal"
     if not specs or not (conformal or "network" in map(_source, specs)):
         return None

@@ -62,7 +62,7 @@ class FlowDetector(VectorDetector):
         return FlowDetector(policy, arrays)
 
     def anomaly(self, rows):
-        """See VectorDetector; dimensionless, its mean near D on normal runs."""
+        """See VectorDetector; dimensionless."""
         return np.square(self.noise(rows)).sum(axis=1)
 
     def noise(self, rows: np.ndarray) -> np.ndarray:

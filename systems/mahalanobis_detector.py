@@ -50,5 +50,5 @@ class MahalanobisDetector(VectorDetector):
         return MahalanobisDetector(policy, arrays["mean"], arrays["whitening"])
 
     def anomaly(self, rows):
-        """See VectorDetector; dimensionless, its mean near S on normal runs."""
+        """See VectorDetector; dimensionless."""
         return np.square((rows - self._mean) @ self._whitening.T).sum(axis=1)

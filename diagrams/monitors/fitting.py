@@ -76,7 +76,7 @@ def calibrate(tapes: Tapes, make: Callable[[], System], delta: float) -> tuple[d
     from tqdm import tqdm
 
     detector, found = make(), dict[str, np.ndarray]()
-    everything = sum(map(len, (tapes.held_out, tapes.undisturbed, *tapes.disturbed.values())))
+    everything = len(tapes.held_out) + len(tapes.undisturbed) + sum(map(len, tapes.disturbed.values()))
     with tqdm(total=everything, desc="scores", unit="run", leave=False, disable=None) as bar:
 
         def errors(tape: Tape) -> np.ndarray:

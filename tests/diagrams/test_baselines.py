@@ -194,7 +194,7 @@ def test_other_settings_are_refused(folder, data, asked, tmp_path):
     [
         ({"detector": ["svm"]}, "no detector 'svm'"),
         ({"detector": ["recall"]}, "the recall is calibrated by diagrams/calibrate.py"),
-        ({"detector": ["knn", "never"]}, "never by nothing"),
+        ({"detector": ["knn", "never"]}, "never and oracle by nothing"),
         ({"factors": []}, "need one value"),
         ({"factors": [float("nan")]}, "nan is no factor of gamma"),
         ({"betas": [0.0]}, "0.0 is no factor of gamma and no beta"),
@@ -213,5 +213,5 @@ def test_bad_input_is_refused(folder, data, asked, changes, named):
     assert not asked
 
 
-def test_all_but_the_recall_by_default():
+def test_those_of_table_ii_by_default():
     assert baselines.parse(["--policies", "a", "--data", "b"]).detector == ["knn", "subspace"]
