@@ -52,7 +52,7 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /sweep\.py --policy/s/--detector knn never/--detector never/
 /iiwa/s/models\/weights\/(encoder|lstm)\.onnx/models\/weights\/iiwa\/\1.onnx/g
 /baselines\.py/s/lstm\*\.onnx/lstm.onnx/
-/baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
+/baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30 --fit-runs 3/
 # The page runs until Ctrl-C.
 s/python diagrams\/live\.py/timeout --preserve-status -s INT 20 python diagrams\/live.py --no-open/
 # Nobody plays in it: what a person would have left.

@@ -35,6 +35,7 @@ class SweepArguments:
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B; moved: the can alone
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
     until: Literal["task", "switching"] = "task"  # switching: ends once that has failed; the task is not judged
+    stop_when_decided: bool = False  # of two controllers: no more of a disturbance whose tasks tell them apart
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
     world: Path | None = None  # YAML file of the world, over the default one
     workers: int = os.cpu_count() or 1  # processes of this machine
@@ -69,6 +70,12 @@ class SweepArguments:
         for gamma in self.gamma:
             if not 0.0 < gamma < math.inf:
                 raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
+        controllers = len(self.policy or self.rnn) * len(self.detector) * max(len(self.gamma), 1)
+        if self.stop_when_decided and (controllers != 2 or len(self.gamma) > 1 or self.until != "task"):
+            raise InputError(
+                f"--stop-when-decided compares the tasks of two controllers, here {controllers}: give two of --rnn, or "
+                "of --detector, and no --until"
+            )
         for option, given in (("--keep-records", self.keep_records), ("--mcap", self.mcap)):
             if given and self.until != "task":
                 raise InputError(f"{option} keeps whole episodes, which --until switching cuts short: leave one out")

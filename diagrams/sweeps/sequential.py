@@ -1,7 +1,12 @@
 """Two controllers compared while the episodes come in: evidence that may be looked at as often as one likes."""
 
+from collections.abc import Iterator, Mapping, Sequence, Set
+from typing import Any
+
 import numpy as np
 from scipy.special import betaln
+
+from diagrams.sweeps.task import Task
 
 DECIDED = 20.0  # e at which two controllers are called different: of equal ones at most 1 in 20 ever are
 PRIOR = 0.5  # a of the Beta distribution over the share: Jeffreys'
@@ -21,3 +26,42 @@ def evidence(wins: int | np.ndarray, discordant: int | np.ndarray, prior: float 
         raise ValueError(f"wins {wins} of discordant {discordant} pairs, prior {prior}: 0 <= wins <= discordant needed")
     with np.errstate(over="ignore"):
         return np.exp(m * np.log(2.0) + betaln(prior + k, prior + m - k) - betaln(prior, prior))[()]
+
+
+def evidence_of(tasks: Sequence[Task], rows: Mapping[str, dict[str, Any]]) -> float:
+    """e of the tasks done by the two controllers of `tasks`, of which `rows` has some; a scene is a pair.
+
+    Over the training seeds of a scene: which of the two did more of them.
+    """
+    first, more = (tasks[0].rnn, tasks[0].detector), dict[int, dict[int, int]]()
+    both: dict[tuple[int, int], int] = {}
+    for task in tasks:
+        success = rows.get(task.key, {}).get("success")
+        if success is None:
+            continue
+        pair, sign = (task.seed, task.training_seed), 1 if (task.rnn, task.detector) == first else -1
+        if pair in both:
+            of_scene = more.setdefault(task.seed, {})
+            of_scene[task.training_seed] = both[pair] + sign * int(success)
+        else:
+            both[pair] = sign * int(success)
+    scenes = [sum(of_scene.values()) for of_scene in more.values()]
+    wins = sum(scene > 0 for scene in scenes)
+    return float(evidence(wins, wins + sum(scene < 0 for scene in scenes)))
+
+
+def decided(tasks: Sequence[Task], rows: Mapping[str, dict[str, Any]]) -> dict[str, float]:
+    """The disturbances whose comparison is decided by the `rows` (by key) that there are of `tasks`, and their e."""
+    kinds = dict.fromkeys(task.disturbance for task in tasks)
+    found = {kind: evidence_of([task for task in tasks if task.disturbance == kind], rows) for kind in kinds}
+    return {kind: e for kind, e in found.items() if e >= DECIDED}
+
+
+def rounds(tasks: Sequence[Task], rows: Mapping[str, dict[str, Any]], left: Set[str]) -> Iterator[list[Task]]:
+    """Those of `tasks` whose keys are in `left`, scene after scene; nothing more of a disturbance that is `decided`.
+
+    `rows`: the caller adds to it between two rounds.
+    """
+    for seed in dict.fromkeys(task.seed for task in tasks):
+        over = decided(tasks, rows)
+        yield [t for t in tasks if t.seed == seed and t.disturbance not in over and t.key in left]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import comb
 
-from diagrams.sweeps.sequential import DECIDED, evidence
+from diagrams.sweeps.sequential import DECIDED, decided, evidence, evidence_of, rounds
+from tests.diagrams.sweep_fakes import make_task
 
 
 def test_by_hand():
@@ -45,3 +46,37 @@ def test_a_better_one_is_found():
     wins = np.cumsum(rng.random((1000, 300)) < 0.7, axis=1)
     ever = (evidence(wins, np.arange(1, 301)) >= DECIDED).any(axis=1)
     assert ever.mean() > 0.95
+
+
+def tasks_of(scenes, kinds=("A",), training_seeds=(0,)):
+    return [
+        make_task(seed, kind, detector=detector, training_seed=training_seed)
+        for detector in ("recall", "never")
+        for kind in kinds
+        for seed in range(scenes)
+        for training_seed in training_seeds
+    ]
+
+
+def test_evidence_of_rows_is_of_scenes():
+    """Scene 0: 2 against 1 of the training seeds; 1: 1 against 2; 2: 1 each; 3: one of the two is missing."""
+    done = {"recall": [(1, 1), (0, 1), (1, 0), (1, 1)], "never": [(0, 1), (1, 1), (0, 1), (None, None)]}
+    tasks = tasks_of(4, training_seeds=(0, 1))
+    rows = {t.key: {"success": done[t.detector][t.seed][t.training_seed]} for t in tasks}
+    assert evidence_of(tasks, rows) == pytest.approx(float(evidence(1, 2)))
+    assert evidence_of(tasks[::-1], rows) == pytest.approx(float(evidence(1, 2)))
+    assert evidence_of(tasks, {}) == 1.0
+
+
+def test_rounds_end_where_a_disturbance_is_decided():
+    """Under A one of the two does each task and the other none, under B both do: A is over after seven scenes."""
+    tasks = tasks_of(10, kinds=("A", "B"))
+    rows = {}
+    left = {task.key for task in tasks}
+    for some in rounds(tasks, rows, left):
+        for task in some:
+            rows[task.key] = {"success": task.detector == "recall" or task.disturbance == "B"}
+    run = [task for task in tasks if task.key in rows]
+    assert [sum(t.disturbance == kind for t in run) for kind in "AB"] == [14, 20]
+    assert decided(tasks, rows) == {"A": pytest.approx(float(evidence(7, 7)))}
+    assert not any(rounds(tasks, rows, left - set(rows)))
