@@ -15,6 +15,7 @@ from systems import distillation_detector, flow_detector
 from systems.detectors import DETECTORS
 
 LIMIT = 0.45  # a millisecond, of some 2.2 that the encoding takes
+LIMITS = {"knn": 2.0}  # its search takes the longer the farther the arm is from what was taught
 IDLE = ("never", "oracle")  # nothing to measure
 
 
@@ -62,4 +63,4 @@ def test_a_tick_of_a_detector_over_an_encoding(policy, measure, in_turns, hold, 
         return time.perf_counter() - begin
 
     (ratio,) = in_turns(detected, encoded)
-    hold(f"a tick of the detector {name} over an encoding", ratio, at_most=LIMIT)
+    hold(f"a tick of the detector {name} over an encoding", ratio, at_most=LIMITS.get(name, LIMIT))
