@@ -24,6 +24,7 @@ import tyro
 
 from diagrams.episodes.calibration import (
     RECALL,
+    UNCALIBRATED,
     UNFITTED,
     Calibration,
     Controller,
@@ -81,8 +82,8 @@ class CalibrateArguments:
             )
         if self.policy is None and self.detector != RECALL:
             raise InputError(f"--detector {self.detector} goes with --policy: for networks run diagrams/baselines.py")
-        if self.policy is not None and DETECTORS.label(self.detector) == "never":
-            raise InputError("the detector 'never' has nothing to calibrate: choose another")
+        if self.policy is not None and (label := DETECTORS.label(self.detector)) in UNCALIBRATED:
+            raise InputError(f"the detector '{label}' has nothing to calibrate: choose another")
         if self.policy is not None and self.out.name != (name := detector_file(Path(), self.detector).name):
             raise InputError(f"--out {self.out} is not how the detector's file is found: call it {name}")
         counts = dict.fromkeys(("episodes", "runs", "disturbed"), (1, SEEDS_APART))
@@ -181,7 +182,8 @@ def begun(arguments: CalibrateArguments) -> tuple[Any, dict[Path, Controller]]:
     assert spec is not None
     path = out.parent / POLICIES.label(spec)
     policy = Controller(path, spec=spec).load()
-    if label not in UNFITTED and not out.is_file():
+    learns = getattr(DETECTORS[arguments.detector], "learns_from", "postures") != "nothing"
+    if label not in UNFITTED and learns and not out.is_file():
         learned = arguments.encoder.parent / out.name
         load_detector(learned, label)  # it is one
         write_bytes(out, learned.read_bytes())

@@ -20,6 +20,7 @@ from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
 from diagrams.sweeps.plan import SweepArguments, plan
+from diagrams.sweeps.sequential import decided, rounds
 from diagrams.sweeps.task import FILES, HASHES, Task, believed, error_row, run_task
 from diagrams.world.scenario import load_world
 from models.checks import require_one_of
@@ -83,14 +84,22 @@ def main(arguments: SweepArguments) -> int:
             done = len(tasks) - len(missing)
             print(f"{len(tasks)} episodes, {done} of them done; starting the workers ...", flush=True)
             pool, function = workers(arguments, names, len(missing))
+            left = {task.key for task in missing}
+            parts = rounds(tasks, rows, left) if arguments.stop_when_decided else [missing]
+            runs = (found for part in parts for found in pool.run(function, part, given_up=error_row))
             with pool, tqdm(total=len(tasks), initial=done, unit="episode", smoothing=0.1, disable=None) as bar:
-                for task, row in believed(pool.run(function, missing, given_up=error_row)):
+                for task, row in believed(runs):
                     for folder in FILES.keys() & row.keys():
                         write_bytes(out / folder / f"{task.key}{FILES[folder]}", row.pop(folder))
                     store.add(task.key, row)
                     bar.update()
                     if row["error"]:
                         tqdm.write(f"{task.key}: {row['error']}")
+    if arguments.stop_when_decided:
+        over = decided(tasks, rows)
+        for kind, e in over.items():
+            print(f"{kind}: decided, e = {e:.3g}")
+        tasks = [task for task in tasks if task.key in rows or task.disturbed_by not in over]
     lost = [task for task in tasks if task.key not in rows]
     if lost:
         print(f"{len(lost)} episodes were given up by the cluster: start again with the same --out", file=sys.stderr)

@@ -27,6 +27,7 @@ EXTRAS = {
     "gym": ("gymnasium",),
     "sweep": ("dask", "distributed", "pandas", "pyarrow", "scipy", "sklearn"),
     "analysis": ("cmaes", "optuna"),
+    "monitors": ("pyod",),
     "live": ("bokeh", "tornado"),
 }
 _MEMORY = "free some, or take fewer --workers"

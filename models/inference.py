@@ -131,9 +131,9 @@ class Policy(PolicyFacts):
         initial_state: c_0 (S,), zeros.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        """Raises WeightsError unless `path` is a policy's file with recall heads."""
-        facts, graph = read_policy(path)
+    def __init__(self, path: str | Path, content: bytes | None = None) -> None:
+        """Raises WeightsError unless `path` is a policy's file with recall heads; `content`: of it, if it was read."""
+        facts, graph = read_policy(path, content)
         super().__init__(**vars(facts))
         if self.torch is not None and self.torch.get("recall") is None:
             remedy = f"Train them: `python -m models.training recall --policy {path}`"

@@ -21,12 +21,22 @@ class Registry(Generic[T]):
     imported before it is asked for.
     """
 
-    def __init__(self, what: str, entries: dict[str, str], needs: tuple[str, ...] = ()):
-        """`what`: "network", "detector", "policy" or "fault", for messages and the group; `entries`: ours, by name.
-
-        `needs`: attributes without which a class is none.
+    def __init__(
+        self,
+        what: str,
+        entries: dict[str, str],
+        needs: tuple[str, ...] = (),
+        families: dict[str, str] | None = None,
+    ):
         """
-        self.what, self._entries, self._needs = what, entries, needs
+        Args:
+            what: "network", "detector", "policy" or "fault", for messages and the group.
+            entries: ours, by name.
+            needs: attributes without which a class is none.
+            families: by a prefix, the function (package.module:function) that makes a class of what stands behind it:
+                `prefix:rest` is function(rest), which raises InputError where there is none.
+        """
+        self.what, self._entries, self._needs, self._families = what, entries, needs, families or {}
         self.group = f"hindsight.{what}s".replace("ys", "ies")
 
     def __iter__(self) -> Iterator[str]:
@@ -40,6 +50,9 @@ class Registry(Generic[T]):
             choices = f"choose from {', '.join(known)}, or give" if known else "give"
             raise InputError(f"there is no {self.what} '{spec}': {choices} one as package.module:Class")
         module, _, name = known.get(spec, spec).partition(":")
+        if spec not in known and module in self._families:
+            of_family, _, function = self._families[module].partition(":")
+            return getattr(importlib.import_module(of_family), function)(name)
         try:
             entry = getattr(importlib.import_module(module), name)
         except Exception as error:  # another one's module may raise anything

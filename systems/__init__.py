@@ -16,7 +16,19 @@ recall_detector        the paper's, Eq. 4: recalled against measured postures
 window_detector        what the two baselines have in common: the last samples of each joint
 knn_detector           the first baseline: distance to the nearest training window
 subspace_detector      the second: what is outside the leading axes of the training windows
+innovation_detector    does what the network predicted, posture and features, come true?
+cusum_detector         the cumulative sum of these errors (discrete state)
+vector_detector        what detectors have in common that judge the hidden state, or it and the features
+mahalanobis_detector   distance of the hidden state to those of normal runs, in their spread
+clusters_detector      PCA and k-means: distance to the nearest cluster
+distillation_detector  random network distillation
+flow_detector          logpZO: the noise that a flow leads back to
+pyod_detector          any of PyOD's, by its name
+ensemble_detector      do networks of other training seeds predict the same? (discrete state)
+reversals_detector     how much the arm turns back on itself
+speed_detector         how fast it is
 never_detector         none: the network alone
+oracle_detector        told of the fault: what could be reached (discrete state)
 posture_regulator      Drake's LQR for the discrete posture integrator
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 regulated_mixer        the two of them, as one Diagram

@@ -7,6 +7,13 @@ A detector is any system with these ports, so that another one takes its place w
         recalled_postures: ((N + 1) M,) scaled, of the state before the tick's update: row 0 is m^R_k, predicted at
             k - 1, row n is the m^R_{k-1-n} that c_{k-1} recalls, n = 1 .. N.
         hidden_state: (S,) c_{k-1} of the network.
+    Further inputs, each only where a detector declares it; the controller connects what is there:
+        features: (F,) f_k of the picture. Then a picture is taken at every tick, also where alpha is 1.
+        predicted_features: (F,) f^R_k, predicted at k - 1; all exactly 0 where nothing was predicted: before the first
+            tick, and where the network started anew.
+        active: (1,) 1 while the arm is known to be disturbed, else 0: true of the tick before.
+        network_input: (M + F,) x_k, what the network is fed; reset: (1,) above 1/2: it starts anew instead. Both come
+            from alpha_k: the detector's update may read them, its outputs not.
     Outputs:
         errors: (E,) what alpha comes from, one number a criterion (E is the detector's choice), each divided by its
             mean on normal runs.
@@ -18,6 +25,7 @@ one, belongs in its Context as discrete state with the tick's period. Its class,
 finds by a name or as `package.module:Class`, offers beside the ports:
 
     name: str, a short one.
+    learns_from: str, what `fit` is given; "postures" where there is no such attribute: see models/data/runs.py.
     fit(runs) -> arrays: static; what it learns from runs (T_i, J), rad, as a file keeps it: numpy arrays by name.
     build(policy, joints, arrays) -> System: static; judges the first `joints` components, and never fires yet.
         `policy`: see models/inference.py; `arrays`: of `fit`.
@@ -33,6 +41,8 @@ from systems.arguments import require_count, require_positive, require_vector
 
 GUARD = 0.5  # alpha below it: the network has the arm
 NEVER = 1e12  # a gamma that no error reaches
+PERIOD = 0.1  # s, of the ticks, where a policy says no other
+FURTHER = ("features", "predicted_features", "active", "network_input", "reset")  # inputs that a detector may have
 EXPONENT = 500.0  # exp(500) is finite; 1 / (1 + exp(500)) is 0 to every purpose
 
 
@@ -44,6 +54,7 @@ def alpha_of(errors: np.ndarray, beta, gamma):
 
 
 def _input_sizes(policy) -> dict[str, int]:
+    """Of the inputs that every detector has."""
     horizon = require_count("policy.horizon", policy.horizon)
     size = require_count("policy.posture_size", policy.posture_size)
     state_size = require_count("policy.state_size", policy.state_size, 0)
@@ -52,12 +63,27 @@ def _input_sizes(policy) -> dict[str, int]:
     )  # fmt: skip
 
 
-def declare_detector_inputs(system, policy) -> tuple:
-    """Declares a detector's three input ports on `system`; returns them in the order of the module's docstring.
+def _further_sizes(policy) -> dict[str, int]:
+    """Of those that some have."""
+    features = require_count("policy.feature_size", getattr(policy, "feature_size", 1))
+    size = require_count("policy.posture_size", policy.posture_size)
+    return dict(features=features, predicted_features=features, active=1, network_input=size + features, reset=1)
 
-    `policy`: any object with `posture_size` M, `horizon` N, `state_size` S.
+
+def declare_detector_inputs(system, policy, *further: str) -> tuple:
+    """Declares a detector's three input ports on `system`, and `further` ones, of FURTHER; returns them in that order.
+
+    `policy`: any object with `posture_size` M, `horizon` N, `state_size` S, and `feature_size` F for further ones.
     """
-    return tuple(system.DeclareVectorInputPort(name, size) for name, size in _input_sizes(policy).items())
+    sizes, more = _input_sizes(policy), _further_sizes(policy)
+    sizes |= {name: more[name] for name in FURTHER if name in further}
+    return tuple(system.DeclareVectorInputPort(name, size) for name, size in sizes.items())
+
+
+def period_of(policy) -> float:
+    """The period, s, of the ticks that `policy` was trained with: of what a detector remembers from tick to tick."""
+    world = getattr(policy, "metadata", {}).get("world", {})
+    return require_positive("the period of the policy", float(np.asarray(world.get("period", PERIOD))))
 
 
 def check_detector(system: System, policy) -> None:
@@ -66,7 +92,8 @@ def check_detector(system: System, policy) -> None:
     ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
     ports += [system.get_output_port(i) for i in range(system.num_output_ports())]
     have = {port.get_name(): port.size() for port in ports}
-    for name, size in (_input_sizes(policy) | {"errors": None, "alpha": 1}).items():
+    sizes = {name: size for name, size in _further_sizes(policy).items() if name in have}
+    for name, size in (_input_sizes(policy) | sizes | {"errors": None, "alpha": 1}).items():
         if name not in have:
             raise ValueError(f"{kind} has no port `{name}`: declare the ports that systems/detector.py lists.")
         if size is not None and have[name] != size:
@@ -92,26 +119,45 @@ class CalibratedDetector:
     `converted_context.SetTimeStateAndParametersFrom(context)` brings those of a Context.
     """
 
+    learns_from = "postures"
+
     @staticmethod
-    def fit(runs: list[np.ndarray]) -> dict[str, np.ndarray]:
-        """What is learned from `runs`, (T_i, J) rad each: nothing."""
+    def fit(runs: list) -> dict[str, np.ndarray]:
+        """What is learned from `runs`: nothing."""
         return {}
 
-    def declare_ports(self: Any, policy, *, criteria: int, reads: tuple[str, ...], scalar: type = float) -> None:
-        """Declares a detector's ports, and its parameters.
+    def declare_ports(
+        self: Any,
+        policy,
+        *,
+        criteria: int,
+        reads: tuple[str, ...],
+        updates_read: tuple[str, ...] = (),
+        remembers: bool = False,
+        scalar: type = float,
+    ) -> None:
+        """Declares a detector's ports, and its parameters; each input is an attribute of its name from then on.
 
         Args:
             policy: see `declare_detector_inputs`.
             criteria: E.
-            reads: names of the inputs that `calc_errors` reads.
+            reads: names of the inputs that `calc_errors` reads; those of FURTHER are declared.
+            updates_read: of FURTHER, those that only the update reads; declared too.
+            remembers: whether `calc_errors` reads the discrete state.
             scalar: of the system: float or AutoDiffXd.
         """
-        self.posture_history, self.recalled_postures, self.hidden_state = declare_detector_inputs(self, policy)
+        further = [name for name in FURTHER if name in (*reads, *updates_read)]
+        ports = declare_detector_inputs(self, policy, *further)
+        self.posture_history, self.recalled_postures, self.hidden_state = ports[:3]
+        for name, port in zip(further, ports[3:], strict=True):
+            setattr(self, name, port)
         self._means, self._beta, self._gamma = (
             self.DeclareNumericParameter(BasicVector_[scalar]([scalar(value)] * size))
             for value, size in ((1.0, criteria), (1.0, 1), (NEVER, 1))
         )
         prerequisites = {self.GetInputPort(name).ticket() for name in reads} | {self.all_parameters_ticket()}
+        if remembers:
+            prerequisites.add(self.xd_ticket())
         self._errors = self.DeclareVectorOutputPort("errors", criteria, self._write_errors, prerequisites)
         self.DeclareVectorOutputPort("alpha", 1, self._write_alpha, prerequisites)
 

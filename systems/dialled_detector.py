@@ -5,7 +5,7 @@ import math
 from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem, System
 
 from systems.arguments import require_positive
-from systems.detector import alpha_of
+from systems.detector import FURTHER, alpha_of
 
 
 class GammaDial(LeafSystem):
@@ -53,7 +53,7 @@ class DialledDetector(Diagram):
     .. pydrake_system::
 
         name: DialledDetector
-        input_ports: [posture_history, recalled_postures, hidden_state, gamma]
+        input_ports: [posture_history, recalled_postures, hidden_state, gamma]  # and further ones, of the wrapped
         output_ports: [errors, alpha]
 
     Ports: see systems/detector.py; gamma (1,): see GammaDial.
@@ -65,8 +65,9 @@ class DialledDetector(Diagram):
         builder = DiagramBuilder()
         self._detector = builder.AddNamedSystem("own_gamma", detector)
         self._dial = builder.AddNamedSystem("dial", GammaDial(detector.GetOutputPort("errors").size()))
-        for name in ("posture_history", "recalled_postures", "hidden_state"):
-            builder.ExportInput(detector.GetInputPort(name), name)
+        for name in ("posture_history", "recalled_postures", "hidden_state", *FURTHER):
+            if detector.HasInputPort(name):
+                builder.ExportInput(detector.GetInputPort(name), name)
         builder.ExportInput(self._dial.GetInputPort("gamma"), "gamma")
         for name in ("errors", "alpha"):
             builder.Connect(detector.GetOutputPort(name), self._dial.GetInputPort(name))

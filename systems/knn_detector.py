@@ -10,6 +10,8 @@ from systems.window_detector import WindowDetector
 class KnnDetector(WindowDetector):
     """a_j = min_i || q_j - x_ij ||, the Euclidean distance to the nearest training window of joint j, rad.
 
+    The search takes the longer the farther the arm is from what was taught: off it, over a millisecond.
+
     .. pydrake_system::
 
         name: KnnDetector

@@ -18,6 +18,7 @@ class NeverDetector(LeafSystem):
     """
 
     name = "never"
+    learns_from = "nothing"
 
     def __init__(self, policy):
         """`policy`: any object with `posture_size` M, `horizon` N, `state_size` S."""

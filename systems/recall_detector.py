@@ -52,6 +52,7 @@ def RecallDetector_(T):
         """
 
         name = "recall"
+        learns_from = "nothing"
 
         def _construct(self, policy, joints: int, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)

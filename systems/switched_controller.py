@@ -21,7 +21,7 @@ class SwitchedController(Diagram):
     .. pydrake_system::
 
         name: SwitchedController
-        input_ports: [rgb_image, posture]  # finger_gaps and gamma too, where told so
+        input_ports: [rgb_image, posture]  # finger_gaps, gamma and active too, where told so
         output_ports: [desired_posture, rnn_step, regulator_step, alpha, errors, hidden_state, predicted_features,
           recalled_postures, measured_posture, features, network_input]
 
@@ -29,7 +29,7 @@ class SwitchedController(Diagram):
         rgb_image: ImageRgba8U of image_width x image_height pixels.
         posture: (M,) physical units: measured joint angles (rad), then the finger openings as commanded (m).
         finger_gaps: (M - J,) these openings as measured, m; only with `empty_below`.
-        gamma: (1,) see systems/dialled_detector.py; only with such a detector.
+        gamma: (1,) see systems/dialled_detector.py; active: (1,) see systems/detector.py; only with such a detector.
     Outputs (physical units; constant between ticks, but for the last two, which alone have direct feedthrough):
         desired_posture: (M,) the command m_k + dm; at home, empty fingers open.
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
@@ -139,6 +139,7 @@ class SwitchedController(Diagram):
             for name in names:
                 builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
 
+        home = None
         if home_tolerance is not None:
             tolerance = require_positive("home_tolerance", home_tolerance) / half_range[:joints]
             home = HomeReset(posture_size=size, initial_posture=initial[:joints], tolerance=tolerance)
@@ -170,8 +171,14 @@ class SwitchedController(Diagram):
         wire(network, detector, "recalled_postures", "hidden_state")
         wire(network, mixer, "predicted_posture")
         wire(detector, closer, "alpha")
-        if detector.HasInputPort("gamma"):
-            builder.ExportInput(detector.GetInputPort("gamma"), "gamma")
+        for source, name in (
+            (image_encoder, "features"), (network, "predicted_features"), (closer, "network_input"), (home, "reset"),
+        ):  # fmt: skip
+            if source is not None and detector.HasInputPort(name):
+                wire(source, detector, name)
+        for name in ("gamma", "active"):
+            if detector.HasInputPort(name):
+                builder.ExportInput(detector.GetInputPort(name), name)
         for name, hold in holds.items():
             builder.Connect(detector.GetOutputPort(name), hold.get_input_port())
         builder.Connect(holds["alpha"].get_output_port(), mixer.GetInputPort("alpha"))
@@ -190,6 +197,7 @@ class SwitchedController(Diagram):
             )
             reset = builder.AddNamedSystem("reset_hold", ZeroOrderHold(period, 1))
             gaps = builder.AddNamedSystem("finger_gaps_hold", ZeroOrderHold(period, len(fingers)))
+            assert home is not None  # refused above
             builder.Connect(home.get_output_port(), reset.get_input_port())
             builder.ExportInput(gaps.get_input_port(), "finger_gaps")
             for port, name in ((command, "desired_posture"), (reset.get_output_port(), "reset"),

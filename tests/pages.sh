@@ -52,7 +52,7 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /sweep\.py --policy/s/--detector knn never/--detector never/
 /iiwa/s/models\/weights\/(encoder|lstm)\.onnx/models\/weights\/iiwa\/\1.onnx/g
 /baselines\.py/s/lstm\*\.onnx/lstm.onnx/
-/baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30/
+/baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30 --fit-runs 3/
 /campaigns\/soak\.py/s/$/ --minutes 1 --count 40/
 /campaigns\/stl\.py/s/--count [0-9]+ --episodes [0-9]+/--count 20 --episodes 1/
 # Campaigns: hours on free cores; the versions need other Pythons.

@@ -17,6 +17,7 @@ FLOORS = (
     {"diagrams.episodes"},
     {"diagrams.drawing"},
     {"diagrams.hybrid", "diagrams.sweeps", "diagrams.browser"},
+    {"diagrams.monitors"},
     {"programs"},
 )
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))

@@ -10,6 +10,7 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from diagrams.world.names import ARM_JOINTS, DECODER, ENCODER
+from models.data.runs import of_policy
 from models.errors import InputError
 from models.networks import network_label
 from models.policy import POLICIES
@@ -17,7 +18,8 @@ from systems.detector import NEVER
 from systems.detectors import DETECTORS
 
 RECALL = "recall"  # the detector whose calibration is in the policy's own file
-UNFITTED = {RECALL, "never"}  # detectors without a file: they learn nothing
+UNCALIBRATED = {"never", "oracle"}  # detectors without a calibration
+UNFITTED = {RECALL, *UNCALIBRATED}  # detectors without a file
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
         if means is None or policy.beta is None or gamma is None:
             raise InputError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
         return Calibration(tuple(means), policy.beta, gamma)
-    if DETECTORS.label(detector) == "never":
+    if DETECTORS.label(detector) in UNCALIBRATED:
         return never_fires(1)
     path = detector_file(folder, detector)
     by = "calibrate.py --policy" if own else "baselines.py"
@@ -132,7 +134,7 @@ def learned_hash(folder: Path, detector: str, policy_hash: str) -> str:
     path = detector_file(folder, detector)
     found = load_detector(path, DETECTORS.label(detector))
     calibration = json.dumps(calibration_of(path, found, policy_hash), sort_keys=True).encode()
-    return arrays_hash(found.arrays, calibration)
+    return arrays_hash(of_policy(policy_hash, found.arrays), calibration)
 
 
 def arrays_hash(arrays: dict[str, np.ndarray], before: bytes = b"") -> str:
@@ -152,7 +154,8 @@ def make_detector(detector: str, policy, folder: Path) -> System:
     from models.files.detectors import load_detector
 
     label = DETECTORS.label(detector)
-    arrays = {} if label in UNFITTED else load_detector(detector_file(folder, detector), label).arrays
+    stored = {} if label in UNFITTED else load_detector(detector_file(folder, detector), label).arrays
+    arrays = of_policy(getattr(policy, "hash", ""), stored)
     try:
         return DETECTORS[detector].build(policy, ARM_JOINTS, arrays)
     except InputError:  # which says what is wrong with the file

@@ -104,6 +104,9 @@ class Rollout:
             self.hands = Hands(builder, world, station, signals)
             signals = self.hands.signals
             builder.Connect(self.hands.gamma, controller.GetInputPort("gamma"))
+        if controller.HasInputPort("active"):
+            known = signals["active"] if self.fault is None else self.fault.fault.GetOutputPort("acting")
+            builder.Connect(known, controller.GetInputPort("active"))
         if "spatial_force" in signals:
             builder.Connect(signals["spatial_force"], station.GetInputPort("applied_spatial_force"))
         builder.Connect(signals["rgb_image"], controller.GetInputPort("rgb_image"))

@@ -52,7 +52,7 @@ def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
 
 def run_episode(job: Job) -> tuple[Outcome, Record]:
     """Runs the episode of `job`; raises InputError as `make_detector`, `EpisodeSampler` and `Rollout` do."""
-    rollout, episode, calibration = _prepared(job)
+    rollout, episode, calibration = prepared(job)
     return rollout.run(episode, until=job.until, picture_every=job.picture_every, calibration=calibration)
 
 
@@ -60,13 +60,13 @@ def run_branched(job: Job) -> tuple[Outcome, Record, int]:
     """As `run_episode`, and the ticks that were saved, because the scene is one of the last ones: see branching.py."""
     from diagrams.episodes.branching import Branches
 
-    rollout, episode, calibration = _prepared(job)
+    rollout, episode, calibration = prepared(job)
     key = ("branches", repr(job.world), job.encoder, job.controller, rollout.fault and rollout.fault.kind)
     branches = kept_in_thread(key, lambda: Branches(rollout))
     return branches.run(episode, until=job.until, calibration=calibration)
 
 
-def _prepared(job: Job):
+def prepared(job: Job):
     """The rollout of this thread, the episode of `job` and the calibration."""
     from diagrams.episodes.sampling import EpisodeSampler
 

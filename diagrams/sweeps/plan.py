@@ -38,6 +38,7 @@ class SweepArguments:
     severity: list[float] = field(default_factory=lambda: [1.0])  # of the faults, 0 to 1
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
     until: Literal["task", "switching"] = "task"  # switching: ends once that has failed; the task is not judged
+    stop_when_decided: bool = False  # of two controllers: no more of a disturbance whose tasks tell them apart
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
     world: Path | None = None  # YAML file of the world, over the default one
     workers: int = field(default_factory=cores)  # processes of this machine
@@ -78,6 +79,12 @@ class SweepArguments:
         for gamma in self.gamma:
             if not 0.0 < gamma < math.inf:
                 raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
+        controllers = len(self.policy or self.rnn) * len(self.detector) * max(len(self.gamma), 1)
+        if self.stop_when_decided and (controllers != 2 or len(self.gamma) > 1 or self.until != "task"):
+            raise InputError(
+                f"--stop-when-decided compares the tasks of two controllers, here {controllers}: give two of --rnn, or "
+                "of --detector, and no --until"
+            )
         for option, given in (("--keep-records", self.keep_records), ("--mcap", self.mcap)):
             if given and self.until != "task":
                 raise InputError(f"{option} keeps whole episodes, which --until switching cuts short: leave one out")
@@ -105,6 +112,7 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     """
     from diagrams.episodes.calibration import (
         RECALL,
+        UNCALIBRATED,
         UNFITTED,
         controller_of,
         detector_file,
@@ -118,8 +126,8 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
 
     folder = arguments.weights
     detectors = _by_label(DETECTORS.label, arguments.detector)
-    if arguments.gamma and "never" in detectors:
-        raise InputError("--gamma says nothing to the detector 'never': leave one of the two out")
+    if arguments.gamma and (deaf := sorted(UNCALIBRATED & set(detectors))):
+        raise InputError(f"--gamma says nothing to the detector '{deaf[0]}': leave one of the two out")
     names = {ENCODER}
     encoder_hash = Encoder(folder / ENCODER).hash
     gammas: list[float | None] = [*_unique(arguments.gamma)] or [None]

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
+from diagrams.sweeps.sequential import evidence
 from diagrams.world.names import DISTURBANCES
 
 CELL = ["rnn", "detector", "gamma", "disturbance", "severity"]
@@ -57,6 +58,16 @@ def rate(successes: np.ndarray, scenes: np.ndarray, training_seeds: np.ndarray) 
 
 def bootstrap(successes: np.ndarray, scenes: np.ndarray) -> list[float]:
     """95 % percentile interval of the rate: draws scenes, and within each the runs of its training seeds."""
+    runs, used = resampled(scenes)
+    rates = np.where(used, successes[runs], 0.0).sum(axis=(1, 2)) / used.sum(axis=(1, 2))
+    return [float(bound) for bound in np.quantile(rates, (0.025, 0.975))]
+
+
+def resampled(scenes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """DRAWS draws of scenes, and of as many runs within each as it has; `scenes` (n,): of which scene a run is.
+
+    Returns the runs that are drawn, (DRAWS, scenes, most runs of a scene) of 0 to n - 1, and which of these count.
+    """
     rng = np.random.default_rng(BOOTSTRAP_SEED)
     _, index, counts = np.unique(scenes, return_inverse=True, return_counts=True)
     order = np.argsort(index, kind="stable")
@@ -65,9 +76,7 @@ def bootstrap(successes: np.ndarray, scenes: np.ndarray) -> list[float]:
     size = counts[drawn]  # as many runs as the scene has
     within = rng.random((DRAWS, len(counts), counts.max()))
     runs = order[first[drawn][..., None] + (within * size[..., None]).astype(int)]
-    used = np.arange(counts.max()) < size[..., None]
-    rates = np.where(used, successes[runs], 0.0).sum(axis=(1, 2)) / size.sum(axis=1)
-    return [float(bound) for bound in np.quantile(rates, (0.025, 0.975))]
+    return runs, np.arange(counts.max()) < size[..., None]
 
 
 def spread(values: pd.Series) -> dict[str, float] | None:
@@ -137,7 +146,8 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
     """Each two controllers (rnn, detector) at the same gamma, on the episodes that both have and that say something.
 
     `p`: exact sign test on the scenes, which recur under every training seed: which of the two does better there more
-    often (`scenes_a`, `scenes_b`). All pairs are listed; none of the p is corrected for their number.
+    often (`scenes_a`, `scenes_b`). All pairs are listed; none of the p is corrected for their number. `e`: see
+    sequential.py, valid however often the sweep was looked at and gone on with.
     """
     found = []
     for labels, group in _groups(rows, ["disturbance", "severity", "gamma"]):
@@ -162,6 +172,7 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
                         "scenes_a": scenes_a,
                         "scenes_b": scenes_b,
                         "p": sign_test(scenes_a, scenes_b),
+                        "e": float(evidence(scenes_a, scenes_a + scenes_b)),
                     }
                 )
     return found

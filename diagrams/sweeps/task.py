@@ -59,8 +59,12 @@ class Task:
         gamma = "own" if self.gamma is None else repr(self.gamma)
         end = "" if self.until == "task" else f"-{self.until}"
         detector = DETECTORS.label(self.detector)
-        kind = kind_label(self.disturbance) + ("" if self.severity is None else f"-{self.severity!r}")
-        return f"{self.rnn}-{self.training_seed}-{detector}-{gamma}-{kind}-{self.seed}{end}"
+        return f"{self.rnn}-{self.training_seed}-{detector}-{gamma}-{self.disturbed_by}-{self.seed}{end}"
+
+    @property
+    def disturbed_by(self) -> str:
+        """The short name of the disturbance and, of a fault, its severity."""
+        return kind_label(self.disturbance) + ("" if self.severity is None else f"-{self.severity!r}")
 
     def labels(self) -> dict[str, Any]:
         """Columns of a row that are known before the episode is run."""

@@ -1,1 +1,1 @@
-"""Demonstrations on disk, the sequences cut from them, their augmentation and scaling."""
+"""Demonstrations on disk, the sequences cut from them, their augmentation and scaling; tapes of runs."""

@@ -47,9 +47,12 @@ def write_graph(path: str | Path, content: bytes, header: dict[str, Any]) -> Non
     write_bytes(path, model.SerializeToString(deterministic=True))
 
 
-def read_graph(path: str | Path, kind: str) -> Graph:
-    """What write_graph wrote, or another tool; raises WeightsError unless it is a whole, harmless file of that kind."""
-    content = read_bytes(path, LARGEST)
+def read_graph(path: str | Path, kind: str, content: bytes | None = None) -> Graph:
+    """What write_graph wrote, or another tool; raises WeightsError unless it is a whole, harmless file of that kind.
+
+    `content`: of the file, where it has been read already.
+    """
+    content = read_bytes(path, LARGEST) if content is None else content
     try:
         model = parse_model(content)
         if not model.graph.node:

@@ -74,9 +74,9 @@ class PolicyFacts:
         return {"kind": "policy", "lower": bounds.lower.tolist(), "upper": bounds.upper.tolist()} | found
 
 
-def read_policy(path: str | Path) -> tuple[PolicyFacts, Graph]:
-    """The file `path`; raises WeightsError unless it is a whole policy file."""
-    graph = read_graph(path, "policy")
+def read_policy(path: str | Path, content: bytes | None = None) -> tuple[PolicyFacts, Graph]:
+    """The file `path`, or its `content`; raises WeightsError unless it is a whole policy file."""
+    graph = read_graph(path, "policy", content)
     return PolicyFacts.of_header(path, graph.header), graph
 
 

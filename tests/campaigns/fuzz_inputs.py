@@ -19,7 +19,9 @@ NUMBERS = (
     "1_000", "1,5", "\uff11\uff12", "+3", "-0", "--3", "", " ", "abc", "True", "None", "1 2", "NaN", "9" * 5000,
 )  # fmt: skip
 STRINGS = (
-    "lstm", "gru", "mtrnn", "recall", "knn", "subspace", "never", "A", "B", "none", "moved", "left", "", " ", "a/b",
+    "lstm", "gru", "mtrnn", "recall", "knn", "subspace", "never", "A", "B", "none", "moved", "left", "oracle",
+    "ensemble", "rnd", "pyod:IForest", "pyod:", "conformal", "camera_gain", "push_hand", "can_toppled", "payload",
+    "", " ", "a/b",
     "../x", "no:Class", ":", "os:path", "json:nothing", "tests.models.outside:NoNetwork",
     "tests.models.own_policies:Drift",
     "tests.models.own_policies:Remembering", "tests.models.outside:Elman", "x" * 300, "\u00fc\u4e2d", "\udcff", "a\nb",

@@ -9,10 +9,14 @@ import pytest
 from diagrams import baselines
 from diagrams.baselines import BaselinesArguments
 from diagrams.episodes import validation
-from diagrams.episodes.calibration import learned_hash, stored_calibration
+from diagrams.episodes.calibration import learned_hash, make_detector, stored_calibration
+from diagrams.episodes.runner import Job
 from diagrams.episodes.sampling import SEED_BASE
+from diagrams.monitors import fitting
+from diagrams.monitors.tapes import TapedRun
 from diagrams.world.configuration import World
 from models.data.recording import RecordingFile
+from models.data.runs import Tape
 from models.errors import InputError
 from models.files.detectors import load_detector, save_detector
 from models.inference import Policy
@@ -189,12 +193,61 @@ def test_other_settings_are_refused(folder, data, asked, tmp_path):
     assert (folder / "subspace.safetensors").read_bytes() == before
 
 
+def test_a_network_s_own_runs_and_the_conformal_rule(folder, data, asked, monkeypatch, capsys):
+    """Each network has its own fit; what is asked again is not run again; other settings are refused."""
+    save_untrained(folder / "other", gamma=20.0)
+    (folder / "other" / "lstm.onnx").rename(folder / "lstm-1.onnx")
+    policies = [folder / "lstm.onnx", folder / "lstm-1.onnx"]
+    taped = []
+
+    def run(pool, world, encoder, controller, seed, counts):
+        taped.append((controller.policy.name, seed, dict(counts)))
+        return {kind: [taped_run(kind, i) for i in range(count)] for kind, count in counts.items()}
+
+    monkeypatch.setattr(fitting, "taped", run)
+    specs = ["mahalanobis", "innovation_features"]
+    given = arguments(folder, None, policies=policies, detector=specs, rule="conformal", seed=4, fit_runs=8)
+    assert baselines.main(given) == 0
+    counts = {"none": 4, "A": 3, "B": 3}
+    assert taped == [(p.name, *rest) for p in policies for rest in ((3, {"none": 8}), (4, counts))]
+    assert not asked  # no trials
+    assert "lstm-1.onnx, innovation_features: largest error by its mean" in capsys.readouterr().out
+    for path in policies:
+        policy = Policy(path)
+        for spec in specs:
+            found = stored_calibration(spec, policy, folder)
+            scores = load_detector(folder / f"{spec}.safetensors", spec).metadata[policy.hash]["calibration"]["scores"]
+            assert (found.beta, found.gamma) == (30.0, max(scores["none"]))
+        assert make_detector("mahalanobis", policy, folder).GetOutputPort("errors").size() == 1
+    taped.clear()
+    assert baselines.main(given) == 0
+    assert not taped
+    with pytest.raises(InputError, match=r"was made with other fit_runs \(8\)"):
+        baselines.main(replace(given, fit_runs=9))
+
+
+def taped_run(kind, number):
+    """20 ticks of noise, from tick 10 on ten times as large where it is disturbed."""
+    rng = np.random.default_rng([number, len(kind), ord(kind[0])])
+    size = np.where(np.arange(20) < 10, 1.0, 1.0 if kind == "none" else 10.0)[:, None]
+    posture, state, features = (size * rng.normal(size=(20, n)) for n in (8, 500, 30))
+    tape = Tape(posture, np.zeros((20, 11, 8)), state, features, np.full((20, 30), 1e-9), np.zeros(20))
+    return TapedRun(outcome(Job(None, None, None, number, kind)), tape, None if kind == "none" else 10, 20)
+
+
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
+        ({"data": None}, "the detector 'knn' learns from demonstrations: give --data"),
+        ({"rule": "conformal"}, "--seed 0 is that of the fit, or the 0 that networks are selected on"),
+        ({"rule": "conformal", "seed": 3}, "--seed 3 is that of the fit"),
+        ({"delta": 1.0}, "--delta 1.0 is no share"),
+        ({"fit_runs": 1}, "--fit-runs 1 is too small"),
+        ({"detector": ["oracle"]}, "never and oracle by nothing"),
+        ({"detector": ["ensemble"]}, "two networks of a kind at least"),
         ({"detector": ["svm"]}, "no detector 'svm'"),
         ({"detector": ["recall"]}, "the recall is calibrated by diagrams/calibrate.py"),
-        ({"detector": ["knn", "never"]}, "never by nothing"),
+        ({"detector": ["knn", "never"]}, "never and oracle by nothing"),
         ({"factors": []}, "give --detector, --factors and --betas"),
         ({"factors": [float("nan")]}, "--factors nan is no number"),
         ({"betas": [0.0]}, "--betas 0.0 is too small"),
@@ -213,5 +266,5 @@ def test_bad_input_is_refused(folder, data, asked, changes, named):
     assert not asked
 
 
-def test_all_but_the_recall_by_default():
+def test_those_of_table_ii_by_default():
     assert baselines.parse(["--policies", "a", "--data", "b"]).detector == ["knn", "subspace"]

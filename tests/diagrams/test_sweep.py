@@ -67,6 +67,29 @@ def without_times(folder):
     return [{name: value for name, value in row.items() if name not in TIMES} for row in table(folder)]
 
 
+def test_a_decided_comparison_ends(weights, tmp_path, in_this_process, monkeypatch, capsys):
+    """And started again it stays ended; the other disturbance goes on to its last episode."""
+    asked = []
+
+    def run_task(folder, task):
+        asked.append(task)
+        done = task.detector == "recall" or task.disturbance == "none"
+        return sweep_fakes.outcome_row(folder, task) | {"success": done}
+
+    monkeypatch.setattr(sweep, "run_task", run_task)
+    given = dict(episodes=10, detector=["recall", "never"], stop_when_decided=True)
+    assert run(weights, tmp_path, **given) == 0
+    assert [sum(task.disturbance == kind for task in asked) for kind in ("none", "B")] == [20, 14]
+    assert "B: decided, e = 26.8" in capsys.readouterr().out
+    assert len(table(tmp_path)) == 34
+    asked.clear()
+    assert run(weights, tmp_path, **given) == 0
+    assert not asked
+    for wrong in ({"detector": ["recall"]}, {"until": "switching"}, {"gamma": [3.0, 4.0]}):
+        with pytest.raises(InputError, match="--stop-when-decided compares the tasks of two controllers"):
+            run(weights, tmp_path / "other", **given | wrong)
+
+
 def start(out, weights, *arguments):
     command = [sys.executable, FAKE_SWEEP, "--out", out, "--weights", weights, "--episodes", "16", *arguments]
     return subprocess.Popen(

@@ -65,3 +65,18 @@ def test_by_name_by_entry_point_and_by_class(registry):
 def test_what_is_not_there_is_named(registry, spec, named):
     with pytest.raises(InputError, match=named):
         registry[spec]
+
+
+def of_family(rest):
+    if rest == "none":
+        raise InputError("there is no such one")
+    return type("Made", (), {"name": f"made-{rest}"})
+
+
+def test_a_family_makes_what_stands_behind_its_prefix(registry):
+    families = Registry("thing", {"ours": f"{HERE}:Ours"}, families={"made": f"{HERE}:of_family"})
+    assert families["made:Up"].name == families.label("made:Up") == "made-Up"
+    assert next(iter(families)) == "ours"
+    assert families[f"{HERE}:Theirs"].name == "theirs"
+    with pytest.raises(InputError, match="there is no such one"):
+        families.check("made:none")

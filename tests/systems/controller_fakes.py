@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantValueSource, LogVectorOutput
+from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource, LogVectorOutput
 from pydrake.systems.sensors import ImageRgba8U
 
 from models.data.scaling import MinMaxScaling
@@ -121,7 +121,8 @@ class Camera(LeafSystem):
 
 class ClosedLoop:
     """The controller with a calibration, a camera (a grey image if None), and an arm; optionally a log of an output at
-    the ticks. `finger_gaps`: the source of what is measured of the fingers, where the controller asks for it."""
+    the ticks. A detector that asks is told that the arm is disturbed. `finger_gaps`: the source of what is measured of
+    the fingers, where the controller asks for it."""
 
     def __init__(self, controller, arm, calibration, logged=None, camera=None, finger_gaps=None):
         builder = DiagramBuilder()
@@ -131,6 +132,9 @@ class ClosedLoop:
         builder.Connect(camera.get_output_port(), controller.GetInputPort("rgb_image"))
         builder.Connect(arm.get_output_port(), controller.GetInputPort("posture"))
         builder.Connect(controller.GetOutputPort("desired_posture"), arm.get_input_port())
+        if controller.HasInputPort("active"):
+            disturbed = builder.AddNamedSystem("active", ConstantVectorSource([1.0]))
+            builder.Connect(disturbed.get_output_port(), controller.GetInputPort("active"))
         if finger_gaps is not None:
             builder.AddSystem(finger_gaps)
             builder.Connect(finger_gaps.get_output_port(), controller.GetInputPort("finger_gaps"))

@@ -9,27 +9,39 @@ import yaml
 from pydrake.multibody.tree import BodyIndex
 
 import systems
+from models.networks.perceptron import random_layers, to_arrays
 from systems.alpha_mixer import AlphaMixer
 from systems.body_force import BodyForce
 from systems.camera_fault import CameraFault
+from systems.clusters_detector import ClustersDetector
+from systems.cusum_detector import CusumDetector
 from systems.dialled_detector import DialledDetector, GammaDial
+from systems.distillation_detector import DistillationDetector
 from systems.disturbance import Disturbance
+from systems.ensemble_detector import EnsembleDetector
 from systems.finger_release import FingerRelease
 from systems.first_given import FirstGiven
+from systems.flow_detector import FlowDetector
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
+from systems.innovation_detector import InnovationDetector
 from systems.knn_detector import KnnDetector
 from systems.late_step import LateStep
 from systems.loop_closer import LoopCloser
+from systems.mahalanobis_detector import MahalanobisDetector
 from systems.manual_disturbance import ManualDisturbance
 from systems.never_detector import NeverDetector
+from systems.oracle_detector import OracleDetector
 from systems.posture_history import PostureHistory
+from systems.pyod_detector import PyodDetector
 from systems.recall_detector import RecallDetector
 from systems.recurrent_policy import RecurrentPolicy
 from systems.regulated_mixer import RegulatedMixer
 from systems.requirement_monitor import RequirementMonitor
+from systems.reversals_detector import ReversalsDetector
 from systems.signal_logic_text import parse_requirements
 from systems.signal_schedule import SignalSchedule
+from systems.speed_detector import SpeedDetector
 from systems.subspace_detector import SubspaceDetector
 from tests.systems.clearance_fakes import ToldWall, make_filter
 from tests.systems.controller_fakes import PERIOD, FakeEncoder, FakePolicy, image, make_controller
@@ -45,10 +57,31 @@ LIMITS = dict(posture_size=M, joints=3, lower=-np.ones(M), upper=np.ones(M), max
 LIMITS |= dict(finger_openings=(-0.5, 0.5), finger_thresholds=(-0.1, 0.1))
 WINDOW_FEEDTHROUGH = {("posture_history", o) for o in ("errors", "alpha")}
 DETECTOR_FEEDTHROUGH = {(i, o) for i in ("posture_history", "recalled_postures") for o in ("errors", "alpha")}
+INNOVATION_FEEDTHROUGH = DETECTOR_FEEDTHROUGH | {
+    (i, o) for i in ("features", "predicted_features") for o in ("errors", "alpha")
+}
+STATE = 12  # of FakePolicy, and 4 features
+SEEN_FEEDTHROUGH = {(i, o) for i in ("hidden_state", "features") for o in ("errors", "alpha")}
 REQUIRED = """
 require first: always (a < 1 since[1:3 tick] (b > 0 and historically[2:inf tick] (a > 0 - 2)))
 require second: eventually once[1:4 tick] (a < 0 since[2:inf tick] b < 0)
 """
+
+
+def perceptron(name, *sizes):
+    return to_arrays(name, random_layers(sizes, np.random.default_rng(0)))
+
+
+def standard():
+    return {"mean": np.zeros(STATE + F), "spread": np.ones(STATE + F)}
+
+
+def pyod():
+    from pyod.models.ecod import ECOD
+
+    return PyodDetector(FakePolicy(), ECOD(), np.random.default_rng(0).normal(size=(50, STATE + F)))
+
+
 CASES = {
     "ImageEncoder": (lambda: ImageEncoder(FakeEncoder()), {("rgb_image", "features")}),
     "RecurrentPolicy": (lambda: RecurrentPolicy(FakePolicy(), PERIOD), set()),
@@ -67,6 +100,34 @@ CASES = {
         WINDOW_FEEDTHROUGH,
     ),
     "NeverDetector": (lambda: NeverDetector(FakePolicy()), set()),
+    "OracleDetector": (lambda: OracleDetector(FakePolicy(), 3), {("active", o) for o in ("errors", "alpha")}),
+    "InnovationDetector": (lambda: InnovationDetector.build(FakePolicy(), 3, {}), INNOVATION_FEEDTHROUGH),
+    "CusumDetector": (lambda: CusumDetector(FakePolicy(), 3, [1.0, 1.0]), INNOVATION_FEEDTHROUGH),
+    "SpeedDetector": (lambda: SpeedDetector(FakePolicy(), 3), WINDOW_FEEDTHROUGH),
+    "ReversalsDetector": (lambda: ReversalsDetector(FakePolicy(), 3), WINDOW_FEEDTHROUGH),
+    "MahalanobisDetector": (
+        lambda: MahalanobisDetector(FakePolicy(), np.zeros(STATE), np.eye(STATE)),
+        {("hidden_state", o) for o in ("errors", "alpha")},
+    ),
+    "ClustersDetector": (
+        lambda: ClustersDetector(FakePolicy(), np.zeros(STATE + F), np.eye(STATE + F)[:3], np.eye(3)),
+        SEEN_FEEDTHROUGH,
+    ),
+    "DistillationDetector": (
+        lambda: DistillationDetector(
+            FakePolicy(), standard() | perceptron("target", 16, 5, 2) | perceptron("predictor", 16, 6, 2)
+        ),
+        SEEN_FEEDTHROUGH,
+    ),
+    "FlowDetector": (
+        lambda: FlowDetector(FakePolicy(), standard() | perceptron("field", 17, 8, 16)),
+        SEEN_FEEDTHROUGH,
+    ),
+    "PyodDetector": (pyod, SEEN_FEEDTHROUGH),
+    "EnsembleDetector": (
+        lambda: EnsembleDetector(FakePolicy(), 3, [FakePolicy(drift=0.02), FakePolicy(drift=0.03)]),
+        {(i, o) for i in ("recalled_postures", "predicted_features") for o in ("errors", "alpha")},
+    ),
     "AlphaMixer": (
         lambda: AlphaMixer(**LIMITS),
         {(i, "desired_posture") for i in MIXER_INPUTS} | {(i, "rnn_step") for i in MIXER_INPUTS[:3]},
@@ -206,6 +267,22 @@ def test_what_the_reset_adds_to_the_controller():
         "posture_scaling.y0 -> home_reset.posture",
         "home_reset.reset -> recurrent_policy.reset",
     }
+
+
+def test_what_further_inputs_of_a_detector_add_to_the_controller():
+    policy = FakePolicy()
+    told = {"predicted_features": "recurrent_policy", "network_input": "loop_closer", "features": "image_encoder",
+            "reset": "home_reset"}  # fmt: skip
+    plain = wires_of(make_controller(home_tolerance=0.1))
+    for detector, names in (
+        (InnovationDetector.build(policy, 3, {}), ("features", "predicted_features")),
+        (CusumDetector(policy, 3, [1.0, 1.0]), ("features", "predicted_features", "reset")),
+        (EnsembleDetector(policy, 3, [FakePolicy()]), ("predicted_features", "network_input", "reset")),
+    ):
+        wires = wires_of(make_controller(policy=policy, detector=detector, home_tolerance=0.1))
+        assert wires - plain == {f"{told[name]}.{name} -> detector.{name}" for name in names}
+    oracle = make_controller(policy=policy, detector=OracleDetector(policy, 3))
+    assert (oracle.HasInputPort("active"), make_controller().HasInputPort("active")) == (True, False)
 
 
 def test_what_the_release_of_empty_fingers_adds_to_the_controller():
