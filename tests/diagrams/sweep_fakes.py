@@ -13,8 +13,9 @@ import numpy as np
 
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.sampling import SEEDS_APART
-from diagrams.sweeps.task import Task, error_row, run_task
+from diagrams.sweeps.task import ROBUSTNESS, Task, error_row, run_task
 from diagrams.world.configuration import World
+from diagrams.world.requirements import requirements
 
 PAUSE = 0.05  # s
 SECONDS = 4.0  # that a short task has for the task
@@ -46,7 +47,7 @@ def outcome_row(folder: Path, task: Task) -> dict:
         "failure": None if success else "stalled", "switch_failure": None if switched else "not resumed",
         "sim_seconds": 40.0 + rng.uniform(), "wall_seconds": started, "realtime_factor": time.time(),
         "error_peak_normal": float(rng.uniform(1, 20)), "error_peak_disturbed": 300.0 if disturbed else None,
-        "error": None, "traceback": None,
+        "error": None, "traceback": None, **{ROBUSTNESS + name: 0.5 for name in requirements(0.1)},
     }  # fmt: skip
 
 
