@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from models import interrupts
-from models.checks import require_plain
 from models.errors import InputError
 
 # Which extra of pyproject.toml brings a module.
@@ -175,8 +174,8 @@ def require_checkout() -> None:
 def require_writable(path: Path) -> None:
     """Raises InputError unless the file `path`, which is left as it is, can be written; before work is done for it."""
     try:
-        if not path.is_dir():
-            require_plain(path)
+        if path.is_fifo() or path.is_socket():  # to open it may hang
+            raise InputError(f"{path} is a pipe, no plain file: give another name")
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             path.open("ab").close()

@@ -47,6 +47,7 @@ _OUTCOME: dict[str, tuple[type, ...]] = {
     "switch_success": (bool, type(None)), "failure": (str, type(None)),
 }  # fmt: skip
 ARRAYS = tuple(f.name for f in dataclasses.fields(Record) if f.name != "events")
+FLAT = ("time", "alpha", "active", "tick_seconds", "picture_ticks")  # arrays of one axis
 
 
 def record_hash(record: Record) -> str:
@@ -107,7 +108,7 @@ def _require_whole(record: Record, outcome: dict) -> None:
         array = getattr(record, name)
         rows = shots if "picture" in name else ticks
         kinds = "u" if name == "pictures" else "iu" if name == "picture_ticks" else "fiub"
-        axes = {"pictures": 4, "time": 1, "alpha": 1, "active": 1, "picture_ticks": 1}.get(name, 2)
+        axes = {"pictures": 4}.get(name, 1 if name in FLAT else 2)
         fits = array.ndim == axes or (name == "pictures" and not shots)
         if not fits or len(array) != rows or array.dtype.kind not in kinds or not np.isfinite(array).all():
             raise ValueError(f"{name} is {array.dtype} {array.shape} of {ticks} ticks: finite rows are needed")

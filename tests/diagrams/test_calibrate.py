@@ -165,7 +165,7 @@ def test_calibration_without_any_success_is_an_error(candidates, monkeypatch):
         ({"out": Path("/")}, r"/ cannot be written \(Is a directory\)"),
         ({"world": Path("nowhere.yaml")}, r"no world file nowhere\.yaml"),
         ({"candidates": [Path("nowhere.onnx")]}, r"nowhere\.onnx: the weight file does not exist"),
-        ({"workers": -1}, "number of workers -1 is out of range"),
+        ({"workers": -1}, "--workers -1 is too small: choose 0 or more"),
         ({"seed": 100}, "seed 100 is outside of 0 to 99"),
         ({"calibration_seed": 0}, "--seed and --calibration-seed are both 0"),
         ({"calibration_seed": 100}, "seed 100 is outside of 0 to 99"),

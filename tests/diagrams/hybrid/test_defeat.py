@@ -148,7 +148,7 @@ def test_a_case_of_a_run_by_hand():
         (["--moves", "0"], "--moves 0 is too small"),
         (["--repetitions", "1"], "--repetitions 1 is too small: choose 2 or more"),
         (["--brute", "-1"], "--brute -1 is too small"),
-        (["--brute", "20000"], "20000 episodes are outside of 1 to 10000"),
+        (["--brute", "20000"], "--brute 20000 is too large: choose at most 10000"),
     ],
 )
 def test_bad_input_is_named(tmp_path, asked, named, monkeypatch):
