@@ -258,6 +258,21 @@ def test_real_episodes(tmp_path, weights, in_this_process, monkeypatch):
         assert sorted(counts)[1:] == [15] * 5 + [30]  # a picture a tick, two of transforms; but for the events
 
 
+def test_real_faults(tmp_path, weights, in_this_process, monkeypatch):
+    """Of a fault that does not take the arm, switching and requirements are not judged."""
+    monkeypatch.setattr(Rollout, "run", partialmethod(Rollout.run, time_limit=1.0))
+    kinds = dict(disturbance=["none", "friction"], severity=[0.5, 1.0])
+    assert run(weights, tmp_path, episodes=1, gamma=[1e12], **kinds) == 0
+    rows = table(tmp_path)
+    assert [(r["disturbance"], r["severity"], r["error"]) for r in rows] == [
+        ("none", None, None), ("friction", 0.5, None), ("friction", 1.0, None)
+    ]  # fmt: skip
+    for row, judged in zip(rows, (True, False, False), strict=True):
+        found = [value for name, value in row.items() if name.startswith("robustness_")]
+        assert [value is not None for value in found] == [judged] * 9
+        assert (row["false_switches"] is not None) is judged
+
+
 def test_a_file_that_is_asked_for_later_is_made(tmp_path, weights, faked, monkeypatch, capsys):
     def with_file(folder, task):
         return sweep_fakes.outcome_row(folder, task) | ({"mcap": b"ticks"} if task.files else {})

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from diagrams.sweeps.table import read_tables, write_table
+from diagrams.sweeps.task import ROBUSTNESS
 from models.errors import InputError
 from tests.diagrams.sweep_fakes import make_task, outcome_row
 
@@ -45,8 +46,13 @@ def test_no_table_or_a_damaged_one(tmp_path):
         read_tables([tmp_path])
 
 
-def test_a_table_of_a_version_without_faults_is_read(tmp_path):
+def test_columns_that_came_later_are_empty_in_an_older_table(tmp_path):
     sweep(tmp_path / "old")
     path = tmp_path / "old" / "episodes.parquet"
-    pd.read_parquet(path).drop(columns=["severity"]).to_parquet(path)
-    assert read_tables([tmp_path / "old"])["severity"].isna().all()
+    whole = pd.read_parquet(path)
+    later = ["traceback", "severity", *(name for name in whole.columns if name.startswith(ROBUSTNESS))]
+    whole.drop(columns=later).to_parquet(path)
+    found = read_tables([tmp_path / "old"])
+    assert len(later) == 11
+    assert found[later].isna().all(axis=None)
+    assert found["seed"].tolist() == whole["seed"].tolist()

@@ -15,7 +15,7 @@ from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.switching import DETECTED, GUARD, RESUMED, Switching
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.requirements import SIGNALS, broken, requirements, robustness_of
-from tests.campaigns.stl import FAILURES, failure_of
+from tests.campaigns.stl import FAILURES, failure_of, record_agrees
 
 PERIOD = 0.1
 CAN = (0.555, -0.041)
@@ -128,6 +128,25 @@ def test_in_the_loop_they_say_what_the_scoring_says(run):
     if outcome.way_home_m is not None:
         # Scoring looks after each step of the plant, the requirement at the ticks.
         assert outcome.way_home_m <= columns["clearance"].min() + 1e-3
+
+
+@pytest.mark.parametrize(("kind", "judged"), [("push_hand", True), ("camera_gain", False), ("disturbed_return", False)])
+def test_of_a_fault_they_say_what_the_scoring_says_where_it_says_something(kind, judged, world, encoder, policy):
+    given, target = episode("A"), episode("A").disturbance.target
+    spec = DisturbanceSpec(kind, 0.12, subtask=1, hold_ticks=0 if kind == "camera_gain" else 10)
+    spec.target = [*target, *np.add(target, 0.2)] if kind == "disturbed_return" else None
+    spec.check()
+    given = dataclasses.replace(given, disturbance=spec)
+    policy.learn(given)
+    outcome, record = Rollout(world, encoder, policy, fault=kind).run(given, time_limit=14.0)
+    assert outcome.judged is judged
+    assert not outcome.void
+    if judged:
+        assert failure_of(record.signals, PERIOD) == outcome.switch_failure
+        assert record.active.any()
+    else:
+        assert (outcome.switch_success, outcome.switch_failure) == (None, None)
+    assert record_agrees(record.signals, record.time, outcome.to_dict()) is None
 
 
 def test_a_clone_goes_on_to_the_same_robustness(rollout, policy):

@@ -4,16 +4,18 @@ import numpy as np
 import pytest
 from pydrake.geometry import Role
 
+from diagrams.episodes.calibration import never_fires
 from diagrams.episodes.episode import Episode
 from diagrams.episodes.record import record_hash
 from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.sampling import FROM_START
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.faults.registry import FAULTS
-from diagrams.world.names import CAN_HALF_HEIGHT
+from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT
 from diagrams.world.task import PLACE_TOLERANCE, tilt
 from models.errors import InputError
 from systems.faults.joint_offset import JointOffset
+from systems.oracle_detector import OracleDetector
 
 CAN, VACANT = (0.555, -0.041), "left"
 SECONDS = 1.2
@@ -156,6 +158,15 @@ def test_a_person_may_have_hands_in_it_too(kind, world, encoder, policy):
         hashes.add(record_hash(run(built, policy, given)[1]))
         assert built.diagram.HasSubsystemNamed("forces") is (hands and kind == "push_hand")
     assert len(hashes) == 1
+
+
+def test_the_oracle_is_told_of_a_fault_that_does_not_take_the_arm(world, encoder, policy):
+    """From the tick after the onset on: ten in which it acts, and the one in which the arm is seen at home."""
+    oracle, given = OracleDetector(policy, ARM_JOINTS), given_in_full("camera_dropped", 1.0, world)
+    built = Rollout(world, encoder, policy, oracle, never_fires(1), fault="camera_dropped")
+    _, record = run(built, policy, given, seconds=1.4)
+    assert record.alpha.tolist() == [0.0] + [1.0] * 11 + [0.0] * 2
+    assert not record.active.any()
 
 
 class Twisted(JointOffset):
