@@ -167,9 +167,8 @@ def test_a_network_beside_it_is_refused(weights):
     with pytest.raises(InputError, match="--rnn and --policy are given: leave one out"):
         fly(weights, "Drift", "--rnn", "gru")
     for words, named in (
-        (["--rnn", "gru"], "--rnn and --policy are given"),
-        (["--training-seeds", "1"], "--training-seeds 1 is"),
-    ):
+        (["--rnn", "gru"], "--rnn and --policy are given"), (["--training-seeds", "1"], "--training-seeds 1 is"),
+    ):  # fmt: skip
         with pytest.raises(InputError, match=named):
             sweep.main(sweep.parse(["--policy", f"{HERE}:Drift", *words]))
 
