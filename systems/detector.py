@@ -11,7 +11,7 @@ A detector is any system with these ports, so that another one takes its place w
         features: (F,) f_k of the picture. Then a picture is taken at every tick, also where alpha is 1.
         predicted_features: (F,) f^R_k, predicted at k - 1; all exactly 0 where nothing was predicted: before the first
             tick, and where the network started anew.
-        active: (1,) 1 while the arm is known to be disturbed, else 0: true of the tick before.
+        active: (1,) 1 while the arm is known to be disturbed, or the fault to act, else 0: true of the tick before.
         network_input: (M + F,) x_k, what the network is fed; reset: (1,) above 1/2: it starts anew instead. Both come
             from alpha_k: the detector's update may read them, its outputs not.
     Outputs:

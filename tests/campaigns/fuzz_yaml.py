@@ -18,7 +18,8 @@ SCALARS = (
     "2026-01-01",
     "!!python/object/apply:os.system ['true']", "!!binary aGFsbG8=", "!!float '1'", "!tag 1", "&a 1", "*a", "? x",
     "- 1",
-    "left", "A", "B", "none", "moved", "lstm", "knn", "\"\\x00\"", "\u00fc", "'" + "x" * 5000 + "'",
+    "left", "A", "B", "none", "moved", "camera_gain", "push_hand", "disturbed_thrice",
+    "lstm", "knn", "\"\\x00\"", "\u00fc", "'" + "x" * 5000 + "'",
     "pick_place.dmd.yaml", "../sdf/pick_place.dmd.yaml", "iiwa.dmd.yaml", "unseen", "imagined",
 )  # fmt: skip
 NUMBERS = SCALARS[:20]
@@ -49,8 +50,14 @@ SCENARIOS: list[Tree] = [
     {"disturbance": {"kind": "moved", "level": 0.1, "subtask": 1, "can_moved_to": [0.5, 0.02]}, "can": [0.5, 0.05]},
     {"seed": 3, "can": [0.52, 0.0], "vacant": "left", "disturbance": {"kind": "none"}},
     {"disturbance": {"kind": "none"}, "hands": {"grip": [[3, 1, 0, 0, 0, 0, 0, 0, 0]], "force": [[5, 1, 2, 3]],
-     "can": [[9, 0.5, 0.0]], "camera": [[4, 1]], "gamma": [[2, 20.0]]}},
+     "can": [[9, 0.5, 0.0]], "camera": [[4, 1]], "gamma": [[2, 20.0]], "late": [[6, 0.5]]}},
     {"disturbance": {"kind": "none"}, "world": {"regulator": {"input_weight": 45.0}}},
+    {"disturbance": {"kind": "camera_gain", "severity": 0.5}},
+    {"disturbance": {"kind": "push_hand", "level": 0.1, "subtask": 1, "hold_ticks": 10, "severity": 0.5}},
+    {"disturbance": {"kind": "disturbed_return", "level": 0.15, "subtask": 1, "hold_ticks": 10, "severity": 1.0,
+                     "target": [0.1, 0.5, 0.0, -1.2, 0.0, 0.9, 0.0, 0.1, 0.6, 0.0, -1.3, 0.0, 0.9, 0.0]}},
+    {"disturbance": {"kind": "can_moved", "level": 0.1, "subtask": 1, "hold_ticks": 0, "can_moved_to": [0.5, 0.02],
+                     "severity": 1.0}},
 ]  # fmt: skip
 
 
