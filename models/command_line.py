@@ -53,6 +53,8 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     and exit code 2; Ctrl-C and SIGTERM are one line and 130 or 143. A pipe that nobody reads any more: 141, quietly.
     """
     _open_streams()
+    # Of the locks of workers that were killed; said by a process of its own, which has these options too.
+    sys.warnoptions.append("ignore:resource_tracker:UserWarning")
     with interrupts.listening():
         try:
             require_checkout()
