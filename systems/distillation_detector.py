@@ -4,12 +4,11 @@ import numpy as np
 
 from models.data.runs import Tape, rows_of
 from models.networks.perceptron import of_arrays, random_layers, run_perceptron, to_arrays, train_perceptron
-from systems.vector_detector import VectorDetector
+from systems.vector_detector import VectorDetector, standard, standard_of
 
 HIDDEN, OUT = 128, 32  # units; of target and predictor
 UPDATES, BATCH = 3000, 128
 RATE = 1e-3
-SPREAD = 1e-3  # least standard deviation that a component is divided by
 
 
 class DistillationDetector(VectorDetector):
@@ -69,16 +68,3 @@ class DistillationDetector(VectorDetector):
         rows = (rows - self._mean) / self._spread
         difference = run_perceptron(self._predictor, rows) - run_perceptron(self._target, rows)
         return np.square(difference.astype(float)).sum(axis=1)
-
-
-def standard_of(rows: np.ndarray) -> dict[str, np.ndarray]:
-    """mean and spread (D,) of rows (n, D), float32; no spread below SPREAD."""
-    mean, spread = rows.mean(axis=0), np.maximum(rows.std(axis=0), SPREAD)
-    return {"mean": mean.astype(np.float32), "spread": spread.astype(np.float32)}
-
-
-def standard(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Of what `standard_of` gave, float64; raises ValueError where it is not there, or a spread is not above 0."""
-    if not {"mean", "spread"} <= set(arrays) or not np.all(arrays["spread"] > 0.0):
-        raise ValueError("there is no mean, or no spread above 0: fit again.")
-    return np.asarray(arrays["mean"], float), np.asarray(arrays["spread"], float)

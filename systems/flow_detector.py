@@ -4,8 +4,7 @@ import numpy as np
 
 from models.data.runs import Tape, rows_of
 from models.networks.perceptron import of_arrays, random_layers, run_perceptron, to_arrays, train_perceptron
-from systems.distillation_detector import standard, standard_of
-from systems.vector_detector import VectorDetector
+from systems.vector_detector import VectorDetector, standard, standard_of
 
 HIDDEN = 128
 STEPS = 5  # of the integration

@@ -5,6 +5,8 @@ from pydrake.systems.framework import LeafSystem
 
 from systems.detector import CalibratedDetector
 
+SPREAD = 1e-3  # least standard deviation that a component is divided by
+
 
 class VectorDetector(CalibratedDetector, LeafSystem):
     """One criterion, l = how anomalous the values of some input ports are, side by side, by a subclass's `anomaly`.
@@ -35,3 +37,16 @@ class VectorDetector(CalibratedDetector, LeafSystem):
     def calc_errors(self, context, mean_errors):
         row = np.concatenate([port.Eval(context) for port in self._ports])
         return self.anomaly(row[None]) / mean_errors
+
+
+def standard_of(rows: np.ndarray) -> dict[str, np.ndarray]:
+    """mean and spread (D,) of rows (n, D), float32; no spread below SPREAD."""
+    mean, spread = rows.mean(axis=0), np.maximum(rows.std(axis=0), SPREAD)
+    return {"mean": mean.astype(np.float32), "spread": spread.astype(np.float32)}
+
+
+def standard(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Of what `standard_of` gave, float64; raises ValueError where it is not there, or a spread is not above 0."""
+    if not {"mean", "spread"} <= set(arrays) or not np.all(arrays["spread"] > 0.0):
+        raise ValueError("there is no mean, or no spread above 0: fit again.")
+    return np.asarray(arrays["mean"], float), np.asarray(arrays["spread"], float)

@@ -18,7 +18,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,6 +39,7 @@ from tests.campaigns import fakes  # noqa: E402
 from tests.campaigns.processes import Ended, Forked, run, until  # noqa: E402
 from tests.campaigns.targets import TARGETS, prepare  # noqa: E402
 
+Case = tuple[str, str, int]  # program, what befalls it, number
 ENDS = {"int": (signal.SIGINT, 130), "term": (signal.SIGTERM, 143)}
 HOWS = "kill", "driver", "worker", *ENDS
 # What the programs import where they need it: imported once, before they are forked.
@@ -81,6 +82,27 @@ class Campaign:
         ended = run(lambda: prepare(self.given), self.folder / "preparing")
         if ended.code != 0:
             raise RuntimeError(f"the inputs cannot be made: {ended.err}")
+
+    def work(self, cases: Sequence[Case], store: RowStore, one: Callable[..., str | None]) -> int:
+        """Runs the cases that are not in `store`, a program at a time; prints how many were answered well; 0 if all.
+
+        `one` is given a case's parts and what `undisturbed` found of its program; it says what was wrong, or None.
+        """
+        from tqdm import tqdm
+
+        missing = [case for case in cases if _key(case) not in store.rows]
+        with ThreadPoolExecutor(self.arguments.workers) as threads, tqdm(total=len(cases), disable=None) as bar:
+            bar.update(len(cases) - len(missing))
+            for name in dict.fromkeys(name for name, _, _ in missing):
+                whole, mine = self.undisturbed(name), [case for case in missing if case[0] == name]
+                for case, wrong in zip(mine, threads.map(lambda c, w=whole: one(*c, w), mine), strict=True):
+                    store.add(_key(case), {"wrong": wrong})
+                    bar.update()
+                    if wrong:
+                        tqdm.write(f"{_key(case)}: {wrong}", file=sys.stderr)
+        well = sum(store.rows[_key(case)]["wrong"] is None for case in cases)
+        print(f"{well} of {len(cases)} answered well")
+        return 0 if well == len(cases) else 1
 
     def undisturbed(self, name: str) -> dict[str, Any]:
         """What the program leaves, its notes, and how long it takes."""
@@ -200,8 +222,6 @@ def main(arguments: KillsArguments) -> int:
 
 
 def _run(arguments: KillsArguments, folder: Path, store: RowStore) -> int:
-    from tqdm import tqdm
-
     campaign = Campaign(arguments, folder)
     campaign.prepare()
     cases = [
@@ -211,28 +231,10 @@ def _run(arguments: KillsArguments, folder: Path, store: RowStore) -> int:
         if how not in ("driver", "worker") or TARGETS[name].workers
         for number in range(arguments.count if how == "kill" else -(-arguments.count // 4))
     ]
-    missing = [case for case in cases if _key(case) not in store.rows]
-
-    def one(case: tuple[str, str, int]) -> str | None:
-        return campaign.case(*case, wholes[case[0]])
-
-    wholes: dict[str, dict[str, Any]] = {}
-    with ThreadPoolExecutor(arguments.workers) as threads, tqdm(total=len(cases), disable=None) as bar:
-        bar.update(len(cases) - len(missing))
-        for name in dict.fromkeys(name for name, _, _ in missing):
-            wholes[name] = campaign.undisturbed(name)
-            mine = [case for case in missing if case[0] == name]
-            for case, wrong in zip(mine, threads.map(one, mine), strict=True):
-                store.add(_key(case), {"wrong": wrong})
-                bar.update()
-                if wrong:
-                    tqdm.write(f"{_key(case)}: {wrong}", file=sys.stderr)
-    well = sum(store.rows[_key(case)]["wrong"] is None for case in cases)
-    print(f"{well} of {len(cases)} answered well")
-    return 0 if well == len(cases) else 1
+    return campaign.work(cases, store, campaign.case)
 
 
-def _key(case: tuple[str, str, int]) -> str:
+def _key(case: Case) -> str:
     return "-".join(map(str, case))
 
 

@@ -16,7 +16,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,6 +54,12 @@ class MachineArguments:
 
 class MachineCampaign(Campaign):
     """The cases."""
+
+    def case(self, name: str, condition: str, number: int, whole: dict[str, Any]) -> str | None:
+        """What was wrong; None: nothing."""
+        if condition == TWO:
+            return self.of_two(name, number, whole)
+        return self.of_condition(name, condition, number, whole)
 
     def of_condition(self, name: str, condition: str, number: int, whole: dict[str, Any]) -> str | None:
         """What was wrong; None: nothing."""
@@ -151,8 +156,6 @@ def _mounted(folder: Path) -> list[str]:
 
 
 def _run(arguments: MachineArguments, folder: Path, store: RowStore, mounts: bool) -> int:
-    from tqdm import tqdm
-
     campaign = MachineCampaign(arguments, folder)
     campaign.prepare()
     cases = [
@@ -165,32 +168,7 @@ def _run(arguments: MachineArguments, folder: Path, store: RowStore, mounts: boo
     ]
     if not mounts:
         print("warning: mounts of its own are not allowed here: full disks and read-only folders are left out")
-    missing = [case for case in cases if _key(case) not in store.rows]
-
-    def one(case: tuple[str, str, int]) -> str | None:
-        name, condition, number = case
-        if condition == TWO:
-            return campaign.of_two(name, number, wholes[name])
-        return campaign.of_condition(*case, wholes[name])
-
-    wholes: dict[str, dict[str, Any]] = {}
-    with ThreadPoolExecutor(arguments.workers) as threads, tqdm(total=len(cases), disable=None) as bar:
-        bar.update(len(cases) - len(missing))
-        for name in dict.fromkeys(name for name, _, _ in missing):
-            wholes[name] = campaign.undisturbed(name)
-            mine = [case for case in missing if case[0] == name]
-            for case, wrong in zip(mine, threads.map(one, mine), strict=True):
-                store.add(_key(case), {"wrong": wrong})
-                bar.update()
-                if wrong:
-                    tqdm.write(f"{_key(case)}: {wrong}", file=sys.stderr)
-    well = sum(store.rows[_key(case)]["wrong"] is None for case in cases)
-    print(f"{well} of {len(cases)} answered well")
-    return 0 if well == len(cases) else 1
-
-
-def _key(case: tuple[str, str, int]) -> str:
-    return "-".join(map(str, case))
+    return campaign.work(cases, store, campaign.case)
 
 
 if __name__ == "__main__":
