@@ -83,7 +83,7 @@ def listening() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        _State.running, _State.asked = False, None
+        _State.running = False
 
 
 def _note(number: int, frame: FrameType | None) -> None:
@@ -93,6 +93,6 @@ def _note(number: int, frame: FrameType | None) -> None:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    if sys.stderr is not None:
+    if sys.stderr is not None and _State.asked is None:  # else it has been said
         os.write(2, f"{ENDED} before it began: start it again\n".encode())
     os._exit(128 + number)

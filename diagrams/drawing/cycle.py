@@ -19,7 +19,7 @@ RADIUS, STACK = 0.48, 0.42  # of a state; between two words of an arrow
 
 
 def save_cycle(found: dict[str, Any], path: Path) -> None:
-    """Draws the report of the analysis `cycle`; the weakest arrow is red."""
+    """Draws the report of the analysis `cycle`; the weakest arrow is red, the least known one named."""
     from matplotlib.patches import Circle
 
     figure, axis = new_figure(1, 1, figsize=(9.5, 6))
@@ -47,7 +47,8 @@ def save_cycle(found: dict[str, Any], path: Path) -> None:
             place, align = middle + 0.16 * middle / np.linalg.norm(middle), "left" if middle[0] > 0 else "right"
             first = 0 if middle[1] < 0 else len(arrows) - 1  # away from the ring
         for number, arrow in enumerate(arrows):
-            words = f"{arrow['name']}\n{arrow['failures']} of {arrow['samples']}, at most {arrow['bound']:.1e}"
+            least = " (least known)" if arrow["name"] == found["least_known"] else ""
+            words = f"{arrow['name']}{least}\n{arrow['failures']} of {arrow['samples']}, at most {arrow['bound']:.1e}"
             height = place[1] + STACK * (first - number)
             colour = RED if arrow["name"] == found["weakest"] else "0.2"
             axis.text(place[0], height, words, ha=align, va="center", fontsize=8.5, color=colour)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from diagrams.episodes.fingerprint import code_hash, fingerprint
 from diagrams.world.configuration import World
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
     from diagrams.episodes.episode import Episode
     from diagrams.episodes.rollout import Rollout
     from models.inference import Encoder, Policy
+
+
+def fingerprint_with_analyses(world: World, **more: Any) -> dict[str, Any]:
+    """See `fingerprint`; beside `code`, which a sweep has too, `analyses`: that of these as well."""
+    return fingerprint(world, analyses=code_hash("diagrams/hybrid"), **more)
 
 
 @dataclass

@@ -1,11 +1,13 @@
 """What the cycle reads in the reports of `return` and `resume` and in a sweep, checked before it is used."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from models.errors import InputError
+
+
+LARGEST = 1e12  # of a number that is read
 
 
 @dataclass(frozen=True)
@@ -17,15 +19,17 @@ class Kind:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    # No isfinite: a whole number beyond any float is an error there.
+    return isinstance(value, int | float) and not isinstance(value, bool) and -LARGEST < value < LARGEST
 
 
 NUMBER = Kind("a number", _is_number)
 NUMBER_OR_NONE = Kind("a number or null", lambda value: value is None or _is_number(value))
-POSITIVE = Kind("a number above 0", lambda value: _is_number(value) and 1e-12 < value < 1e12)
+POSITIVE = Kind("a number above 0", lambda value: _is_number(value) and value > 1e-12)
+SECONDS = Kind("a number from 0 on, or null", lambda value: value is None or (_is_number(value) and value >= 0))
 SHARE = Kind("a number between 0 and 1", lambda value: _is_number(value) and 1e-12 < value < 1.0)
 COUNT = Kind("a whole number from 0 on", lambda value: _is_number(value) and value == int(value) >= 0)
-FLAG = Kind("true or false", lambda value: value in (True, False))
+SOME = Kind("a whole number from 1 on", lambda value: COUNT.fits(value) and value > 0)
 FLAG_OR_NONE = Kind("true, false or nothing", lambda value: value in (True, False, None))
 WORD = Kind("a word", lambda value: isinstance(value, str))
 
@@ -34,21 +38,34 @@ _SETS = {
     "*": {
         "all": dict.fromkeys(("failures", "left_box", "touches", "failed_or_touched"), COUNT),
         "free": dict.fromkeys(("contraction_first_measured", "contraction_rate_measured", "max_v_increase"), NUMBER)
-        | {"later_than_certified": COUNT},
+        | {"samples": COUNT, "later_than_certified": COUNT},
         "contraction_first": POSITIVE, "contraction_rate": SHARE, "nearest_distance_m": NUMBER_OR_NONE,
         "v_tolerance": NUMBER,
     }
 }  # fmt: skip
 RETURNED = {
-    "level_at_home": SHARE, "period_s": POSITIVE, "draws": COUNT, "draws_outside": COUNT,
-    "draws_failed_or_touched": COUNT, "samples_inside": COUNT, "sets": _SETS,
+    "level_at_home": SHARE, "period_s": POSITIVE, "draws": SOME, "draws_outside": COUNT,
+    "draws_failed_or_touched": COUNT, "samples_inside": SOME, "sets": _SETS,
 }  # fmt: skip
-RESUMED = {"policy": WORD, "rule": WORD, "rules": {"*": {"*": {"samples": COUNT, "not_resumed": COUNT}}}}
-FINISHED = {"samples": COUNT, "failures": COUNT}
-ROW = dict.fromkeys(("detection_delay_s", "return_s", "resume_s"), NUMBER_OR_NONE)
+FINISHED = {"samples": SOME, "failures": COUNT}
+RESUMED = {
+    "policy": WORD, "encoder_hash": WORD, "rule": WORD, "by_scene": {"*": FINISHED},
+    "rules": {"*": {"*": {"samples": SOME, "not_resumed": COUNT}}},
+}  # fmt: skip
+ROW = {"way_home_m": NUMBER_OR_NONE} | dict.fromkeys(("detection_delay_s", "return_s", "resume_s"), SECONDS)
 ROW |= dict.fromkeys(("success", "void", "returned", "resumed", "switched"), FLAG_OR_NONE)
 # Of every row, whatever came of it.
-COLUMNS = ("weights_hash", "detector", "gamma", "disturbance", "error", "false_switches", "later_switches", *ROW)
+COLUMNS = (
+    "weights_hash",
+    "encoder_hash",
+    "detector",
+    "gamma",
+    "disturbance",
+    "error",
+    "false_switches",
+    "later_switches",
+    *ROW,
+)
 
 
 def require_reports(returned: dict[str, Any], resumed: dict[str, Any]) -> None:
@@ -56,9 +73,13 @@ def require_reports(returned: dict[str, Any], resumed: dict[str, Any]) -> None:
     _require(returned, RETURNED, "return.json")
     if "box" not in returned["sets"]:
         _refuse("return.json has no sets.box")
+    for kind, found in returned["sets"].items():
+        if not found["contraction_rate"] <= found["contraction_first"] <= 1.0:
+            _refuse(f"return.json {kind} contraction_first is not from contraction_rate to 1")
     _require(resumed, RESUMED, "resume.json")
-    if resumed["rule"] not in resumed["rules"]:
-        _refuse(f"resume.json has no rules.{resumed['rule']}")
+    for name in ("rules", "by_scene"):
+        if resumed["rule"] not in resumed[name]:
+            _refuse(f"resume.json has no {name}.{resumed['rule']}")
     for kind, entry in resumed["rules"][resumed["rule"]].items():
         if entry.get("finished") is not None:
             _require(entry["finished"], FINISHED, f"resume.json {kind}.finished")

@@ -15,14 +15,13 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from diagrams.episodes.calibration import Controller, stored_calibration
-from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import MOST_WORKERS, Pool, kept_in_thread
 from diagrams.episodes.runner import Job, build_rollout, run_episode
 from diagrams.episodes.sampling import SEED_BLOCKS, EpisodeSampler, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.episodes.switching import RESUME_SECONDS
 from diagrams.hybrid.box_gauge import BoxGauge
-from diagrams.hybrid.common import NetworkArguments
+from diagrams.hybrid.common import NetworkArguments, fingerprint_with_analyses
 from diagrams.hybrid.resumption_starts import KINDS, Memory, Resumptions, Start, way_home
 from diagrams.hybrid.resumption_time import time_to_resume
 from diagrams.hybrid.return_proof import bound
@@ -61,7 +60,7 @@ class Resume(NetworkArguments):
         chosen = {"weights": policy.hash, "encoder": encoder.hash}
         path = self.out / "resume_starts.jsonl"
         job, seeds = Job(world, self.encoder_path, Controller(self.policy_path)), self._seeds()
-        with RowStore(path, fingerprint(world, "diagrams/hybrid", **chosen)) as store, Pool(self.workers) as pool:
+        with RowStore(path, fingerprint_with_analyses(world, **chosen)) as store, Pool(self.workers) as pool:
             rows, scenes = self._starts(job, seeds[:MOST_SCENES], store, pool)
             runs = self._runs(job, seeds[MOST_SCENES:], store, pool)
         period = world.timing.period
@@ -71,8 +70,10 @@ class Resume(NetworkArguments):
         }
         worst = worst_ticks(policy, world)
         found = {
-            "fingerprint": fingerprint(world), "policy": policy.hash, "rule": world.resumption, "scenes": scenes,
-            "rules": rules, "worst_ticks": worst, "runs": judge_runs(runs, period),
+            "fingerprint": fingerprint_with_analyses(world), "policy": policy.hash, "encoder_hash": encoder.hash,
+            "rule": world.resumption, "scenes": scenes, "rules": rules,
+            "by_scene": {rule: by_scene([row for row in rows if row.rule == rule], period) for rule in rules},
+            "worst_ticks": worst, "runs": judge_runs(runs, period),
         }  # fmt: skip
         self.write(found)
         save_resumption([asdict(row) for row in rows], period, self.out / "resume.png")
@@ -274,18 +275,14 @@ def judge(rows: Sequence[Row], period: float) -> dict[str, Any]:
     lowest = int(predicted[failed].min()) if failed.any() else followed
     inside = predicted <= min(limit, lowest - 1)
     seconds = measured[~failed] * period
-    scenes, done = np.array([row.scene for row in rows]), [row.done for row in rows if row.done is not None]
-    lost = len(np.unique(scenes[failed]))
+    done = [row.done for row in rows if row.done is not None]
     off, left = np.abs(predicted - measured), np.array([row.left for row in rows])
     both = (predicted < followed) & (measured < followed)
     return {
         "samples": len(rows),
         "not_resumed": int(failed.sum()),
         "bound": bound(int(failed.sum()), len(rows)),
-        # Starts of one scene share its picture: the bound of scenes asks no more than that scenes are independent.
-        "scenes": {
-            "samples": len(np.unique(scenes)), "failures": lost, "bound": bound(lost, len(np.unique(scenes))),
-        },
+        "scenes": by_scene(rows, period),
         "foretold": int(foretold.sum()),
         "foretold_wrongly": int((foretold != failed).sum()),
         "largest_error_ticks": int(off[both].max(initial=0)),
@@ -303,6 +300,16 @@ def judge(rows: Sequence[Row], period: float) -> dict[str, Any]:
             "samples": len(done), "failures": len(done) - sum(done), "bound": bound(len(done) - sum(done), len(done)),
         } if done else None,
     }  # fmt: skip
+
+
+def by_scene(rows: Sequence[Row], period: float) -> dict[str, Any]:
+    """Scenes, and how many have a start that does not resume in time; plain types.
+
+    Starts of one scene share its picture: the bound of scenes asks no more than that scenes are independent.
+    """
+    limit, n = round(RESUME_SECONDS / period), len({row.scene for row in rows})
+    lost = len({row.scene for row in rows if row.resumed is None or row.resumed > limit})
+    return {"samples": n, "failures": lost, "bound": bound(lost, n)}
 
 
 def judge_runs(rows: Sequence[RunRow], period: float) -> dict[str, Any]:

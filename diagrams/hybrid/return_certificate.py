@@ -15,12 +15,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import MOST_WORKERS, Pool
 from diagrams.episodes.sampling import SEED_BLOCKS, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.box_gauge import BoxGauge
-from diagrams.hybrid.common import Arguments
+from diagrams.hybrid.common import Arguments, fingerprint_with_analyses
 from diagrams.hybrid.delay_margin import delay_margin, measured_delay_margin
 from diagrams.hybrid.return_loop import Trajectory
 from diagrams.hybrid.return_promise import SAFETY_FACTOR, Promise
@@ -57,13 +56,14 @@ class Return(Arguments):
         from diagrams.drawing.return_certificate import save_certificate
 
         world, path = self.loaded_world(), self.out / "return_trajectories.jsonl"
-        with RowStore(path, fingerprint(world, "diagrams/hybrid")) as store, Pool(self.workers) as pool:
+        identity = fingerprint_with_analyses(world)
+        with RowStore(path, identity) as store, Pool(self.workers) as pool:
             found, picture = certify(
                 world, samples=self.samples, draws=self.draws, seed=self.seed, pool=pool, store=store
             )
-        self.write({"fingerprint": fingerprint(world)} | found)
-        save_certificate(picture, self.out / "return.png")
-        path.unlink()  # it is for a run that is broken off
+            self.write({"fingerprint": identity} | found)
+            save_certificate(picture, self.out / "return.png")
+            path.unlink(missing_ok=True)  # it is for a run that is broken off; while no other program can open it
         print(_words(found))
         return 0 if holds(found) else 1
 

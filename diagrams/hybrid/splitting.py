@@ -167,9 +167,11 @@ def require_sizes(population: int, kept: float, moves: int) -> None:
     """Raises InputError for sizes that make no run."""
     if not 0.0 < kept < 1.0:
         raise InputError(f"--kept {kept:g} is no share of a population: choose a number between 0 and 1, such as 0.2")
-    least = int(np.ceil(1.0 / min(kept, 1.0 - kept)))
-    if population < least:
-        raise InputError(f"--population {population} is too small to keep a share of {kept:g}: choose {least} or more")
+    if population * min(kept, 1.0 - kept) < 1.0:
+        least = 1.0 / min(kept, 1.0 - kept)  # may be infinite
+        raise InputError(
+            f"--population {population} is too small to keep a share of {kept:g}: choose {least:.6g} or more"
+        )
     if moves < 1:
         raise InputError(f"--moves {moves} is too small: choose 1 or more")
 

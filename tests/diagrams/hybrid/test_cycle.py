@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 from diagrams import analysis
-from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.store import RowStore
+from diagrams.hybrid.common import fingerprint_with_analyses
 from diagrams.hybrid.cycle import report, require_one_world, table
 from models.errors import InputError
 
 PROVEN = {"samples": 50, "failed_or_touched": 0, "failures": 0, "left_box": 0, "touches": 0}
-LQR_ALONE = {"later_than_certified": 0, "max_v_increase": 0.0, "contraction_first_measured": 0.9,
+LQR_ALONE = {"samples": 40, "later_than_certified": 0, "max_v_increase": 0.0, "contraction_first_measured": 0.9,
              "contraction_rate_measured": 0.9}  # fmt: skip
 RETURNED = {
     "seed": 0,
@@ -46,6 +46,8 @@ RESUMED = {
     "seed": 0,
     "fingerprint": {"code": "2", "drake": "1.51", "world.resumption": "reset"},
     "policy": "ours",
+    "encoder_hash": "eyes",
+    "by_scene": {"reset": {"samples": 200, "failures": 0}, "imagined": {"samples": 200, "failures": 90}},
     "rule": "reset",
     "rules": {
         "reset": {"pick": entry(1500, 0, 30, 0), "place": entry(1500, 0, 30, 1)},
@@ -57,7 +59,7 @@ RESUMED = {
 def row(disturbance, delay=0.2, returned=True, resumed=True, back=(3.0, 1.5), **others):
     disturbed = disturbance != "none"
     return {
-        "weights_hash": "ours", "detector": "recall", "gamma": None, "success": True, "error": None,
+        "weights_hash": "ours", "encoder_hash": "eyes", "way_home_m": 0.01, "detector": "recall", "gamma": None, "success": True, "error": None,
         "disturbance": disturbance, "void": False, "false_switches": 0, "later_switches": 0, "switched": disturbed,
         "detection_delay_s": delay if disturbed else None,
         "returned": returned if disturbed else None, "resumed": resumed if disturbed else None,
@@ -74,7 +76,7 @@ ROWS += [
     row("A", false_switches=1),
 ]
 CALM = [one for one in ROWS if not (one["returned"] and one["resumed"] is False)]
-OTHERS = {"weights_hash": "another's"}, {"detector": "knn"}, {"gamma": 3.0}, {"success": None}
+OTHERS = {"weights_hash": "another's"}, {"encoder_hash": "other eyes"}, {"detector": "knn"}, {"gamma": 3.0}, {"success": None}
 ROWS += [row("B", delay=None, **others) for others in OTHERS]
 
 
@@ -88,17 +90,18 @@ def test_arrows_by_hand():
         "return set": (1, 50),
         "way home": (0, 50),
         "way home, anywhere in the box": (0, 300),
-        "reset and resumption": (0, 3000),
+        "reset and resumption": (0, 200),
         "subtask": (1, 60),
         "no later switch": (1, 10),
     }
-    assert arrows["reset and resumption"]["bound"] == pytest.approx(1.0 - 0.05 ** (1.0 / 3000))
+    assert arrows["reset and resumption"]["bound"] == pytest.approx(1.0 - 0.05 ** (1.0 / 200))
     assert found["weakest"] == "no later switch"  # a tenth
     assert found["least_known"] == "no later switch"
     json.dumps(found)
     lines = table(found).splitlines()
     assert [line.split()[-1] for line in lines if "weakest" in line] == ["known"]
     assert "1 of 11 disturbed runs" in lines[-2]
+    assert "0 of 11 disturbed runs (0 not home, 0 touch something)" in lines[-3]
 
 
 def test_a_share_that_was_not_foretold_is_told():
@@ -118,6 +121,34 @@ def test_runs_of_the_sweep_that_do_not_come_home_are_told(lost, agrees):
     assert found["foretold_bound"] == pytest.approx(1.0 - 0.05 ** (1.0 / 50))
     assert (found["measured"]["failures"], found["measured"]["samples"]) == (lost, 20 + lost)
     assert found["agrees"] is agrees
+
+
+def test_a_way_of_the_sweep_that_touches_something_has_failed():
+    found = report(RETURNED, RESUMED, [*CALM, *[row("A", way_home_m=0.0)] * 9])["way_home"]
+    assert (found["measured"]["failures"], found["measured"]["touched"], found["measured"]["not_returned"]) == (9, 9, 0)
+    assert found["agrees"] is False
+
+
+def test_of_no_runs_nothing_agrees():
+    rows = [row("none"), row("B", delay=None, returned=False, resumed=False, back=(None, None))]
+    found = report(RETURNED, RESUMED, rows)
+    assert (found["way_home"]["agrees"], found["resumption"]["agrees"]) == (None, None)
+    arrows = {arrow["name"]: arrow for arrow in found["arrows"]}
+    assert (arrows["no later switch"]["samples"], arrows["no later switch"]["bound"]) == (0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "changed", [{"draws": 0}, {"draws": 10**400}, {"samples_inside": 0}, {"sets": RETURNED["sets"] | {
+        "box": RETURNED["sets"]["box"] | {"contraction_first": 1e-9}}}],
+)  # fmt: skip
+def test_impossible_numbers_are_refused(changed):
+    with pytest.raises(InputError, match="the reports do not fit"):
+        report(RETURNED | changed, RESUMED, ROWS)
+
+
+def test_negative_time_is_refused():
+    with pytest.raises(InputError, match="return_s is -5"):
+        report(RETURNED, RESUMED, [*ROWS, row("A", back=(-5.0, 1.0))])
 
 
 def test_a_certificate_that_does_not_hold_is_told():
@@ -175,7 +206,7 @@ def test_reports_of_different_worlds_are_refused():
 
 
 def test_program(tmp_path, capsys, world):
-    own = fingerprint(world)
+    own = fingerprint_with_analyses(world)
     asked = ["cycle", "--out", str(tmp_path), "--sweep", str(tmp_path)]
     with pytest.raises(InputError, match=r"return\.json cannot be read: run `analysis\.py return --out"):
         analysis.main(analysis.parse(asked))
@@ -203,8 +234,16 @@ def test_program(tmp_path, capsys, world):
     with pytest.raises(InputError, match=r"episodes\.parquet cannot be read: run the sweep's command again"):
         analysis.main(analysis.parse(asked))
     pd.DataFrame([{"can_xy": [0.5, 0.0]} | one for one in CALM]).to_parquet(tmp_path / "episodes.parquet")
-    assert analysis.main(analysis.parse(asked)) == 0
+    assert analysis.main(analysis.parse(asked)) == 1  # some arrows have failures
     found = json.loads((tmp_path / "cycle.json").read_text())
     assert {"name", "samples", "failures", "bound"} <= found["arrows"][0].keys()
     assert (tmp_path / "cycle.png").is_file()
-    assert "dwell time" in capsys.readouterr().out
+    assert (found["policy"], found["sweep"], found["codes"]["code"]["resume"]) == ("ours", str(tmp_path), "2")
+    said = capsys.readouterr()
+    assert "dwell time" in said.out
+    assert "warning: the reports differ in code: the world" in said.err
+    (tmp_path / "return.json").write_text(json.dumps(RETURNED | {"fingerprint": own, "draws_outside": 0}))
+    calm = RESUMED | {"fingerprint": own, "rules": {"reset": {"pick": entry(15, 0, 1, 0)}}}
+    (tmp_path / "resume.json").write_text(json.dumps(calm))
+    pd.DataFrame([row("none"), row("A")]).to_parquet(tmp_path / "episodes.parquet")
+    assert analysis.main(analysis.parse(asked)) == 0
