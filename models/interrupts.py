@@ -27,6 +27,7 @@ class _State:
     asked: int | None = None  # number of the signal
     blocks = 0  # of `held`, within each other
     running = False  # a program is in `listening`
+    said = False  # one was, and has said that it was asked to end
 
 
 def asked() -> bool:
@@ -81,9 +82,10 @@ def listening() -> Iterator[None]:
             signal.signal(number, _note)
         yield
     finally:
+        _State.said = _State.asked is not None
         for number, handler in before.items():
             signal.signal(number, handler)
-        _State.running = False
+        _State.running, _State.asked = False, None
 
 
 def _note(number: int, frame: FrameType | None) -> None:
@@ -93,6 +95,6 @@ def _note(number: int, frame: FrameType | None) -> None:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    if sys.stderr is not None and _State.asked is None:  # else it has been said
+    if sys.stderr is not None and not _State.said:
         os.write(2, f"{ENDED} before it began: start it again\n".encode())
     os._exit(128 + number)

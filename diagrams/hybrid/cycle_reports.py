@@ -6,7 +6,6 @@ from typing import Any
 
 from models.errors import InputError
 
-
 LARGEST = 1e12  # of a number that is read
 
 

@@ -63,21 +63,23 @@ class Resume(NetworkArguments):
         with RowStore(path, fingerprint_with_analyses(world, **chosen)) as store, Pool(self.workers) as pool:
             rows, scenes = self._starts(job, seeds[:MOST_SCENES], store, pool)
             runs = self._runs(job, seeds[MOST_SCENES:], store, pool)
-        period = world.timing.period
-        rules = {
-            rule: {kind: judge([row for row in rows if (row.rule, row.kind) == (rule, kind)], period) for kind in KINDS}
-            for rule in (RESUMPTIONS if self.compared else (world.resumption,))
-        }
-        worst = worst_ticks(policy, world)
-        found = {
-            "fingerprint": fingerprint_with_analyses(world), "policy": policy.hash, "encoder_hash": encoder.hash,
-            "rule": world.resumption, "scenes": scenes, "rules": rules,
-            "by_scene": {rule: by_scene([row for row in rows if row.rule == rule], period) for rule in rules},
-            "worst_ticks": worst, "runs": judge_runs(runs, period),
-        }  # fmt: skip
-        self.write(found)
-        save_resumption([asdict(row) for row in rows], period, self.out / "resume.png")
-        path.unlink()  # it is for a run that is broken off
+            period = world.timing.period
+            rules = {
+                rule: {
+                    kind: judge([row for row in rows if (row.rule, row.kind) == (rule, kind)], period) for kind in KINDS
+                }
+                for rule in (RESUMPTIONS if self.compared else (world.resumption,))
+            }
+            worst = worst_ticks(policy, world)
+            found = {
+                "fingerprint": fingerprint_with_analyses(world), "policy": policy.hash, "encoder_hash": encoder.hash,
+                "rule": world.resumption, "scenes": scenes, "rules": rules,
+                "by_scene": {rule: by_scene([row for row in rows if row.rule == rule], period) for rule in rules},
+                "worst_ticks": worst, "runs": judge_runs(runs, period),
+            }  # fmt: skip
+            self.write(found)
+            save_resumption([asdict(row) for row in rows], period, self.out / "resume.png")
+            path.unlink(missing_ok=True)  # it is for a run that is broken off; while no other program can open it
         for rule, kind in product(rules, KINDS):
             print(_words(rule, kind, rules[rule][kind]))
         print(f"starting anew from the farthest posture at home takes {worst} ticks; disturbed runs: {found['runs']}")

@@ -168,10 +168,9 @@ def require_sizes(population: int, kept: float, moves: int) -> None:
     if not 0.0 < kept < 1.0:
         raise InputError(f"--kept {kept:g} is no share of a population: choose a number between 0 and 1, such as 0.2")
     if population * min(kept, 1.0 - kept) < 1.0:
-        least = 1.0 / min(kept, 1.0 - kept)  # may be infinite
-        raise InputError(
-            f"--population {population} is too small to keep a share of {kept:g}: choose {least:.6g} or more"
-        )
+        least = np.ceil(1.0 / min(kept, 1.0 - kept))  # may be infinite: then only another share helps
+        remedy = f"choose {least:.10g} or more" if least < 1e9 else "choose another --kept, such as 0.2"
+        raise InputError(f"--population {population} is too small to keep a share of {kept:g}: {remedy}")
     if moves < 1:
         raise InputError(f"--moves {moves} is too small: choose 1 or more")
 

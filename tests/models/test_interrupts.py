@@ -88,6 +88,18 @@ def test_a_request_is_held_back_till_the_end_of_the_block_and_a_second_one_is_no
     leave_if_asked()
 
 
+def test_what_was_said_is_not_said_again(monkeypatch, capfd):
+    """A second Ctrl-C while the process ends."""
+    monkeypatch.setattr(os, "_exit", lambda code: None)
+    monkeypatch.setattr(interrupts._State, "said", False)
+    interrupts._end(signal.SIGINT, None)
+    assert "before it began" in capfd.readouterr().err
+    with pytest.raises(Interrupted), listening():
+        signal.raise_signal(signal.SIGINT)
+    interrupts._end(signal.SIGINT, None)
+    assert capfd.readouterr().err == ""
+
+
 def test_what_is_ignored_stays_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
