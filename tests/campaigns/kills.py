@@ -101,7 +101,7 @@ class Campaign:
                     bar.update()
                     if wrong:
                         tqdm.write(f"{_key(case)}: {wrong}", file=sys.stderr)
-        if ends := [seconds for case in cases if (seconds := store.rows[_key(case)]["seconds"]) is not None]:
+        if ends := [seconds for case in cases if (seconds := store.rows[_key(case)].get("seconds")) is not None]:
             print(f"told to end, all processes were gone after {max(ends):.2f} s at most")
         well = sum(store.rows[_key(case)]["wrong"] is None for case in cases)
         print(f"{well} of {len(cases)} answered well")
