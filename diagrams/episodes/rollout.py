@@ -60,6 +60,7 @@ class Rollout:
         video: Path | None = None,
         hands: bool = False,
         fault: str | None = None,
+        monitored: bool = False,
     ):
         """
         Args:
@@ -69,6 +70,7 @@ class Rollout:
             video: an .mp4 to write, finished by `self.video.Save()`.
             hands: with a person's hands (`self.hands`, see world/hands.py) between the parts.
             fault: with the system of this fault (`self.fault`, see world/faults/) between the parts.
+            monitored: whether `requirements` tells in each tick how well they are kept; 5 % of a run's time.
 
         Raises InputError for networks, camera and world that do not fit together.
         """
@@ -122,7 +124,9 @@ class Rollout:
         for name in ("desired_posture", "can_place"):
             builder.Connect(signals[name], station.GetInputPort(name))
         alpha, posture = (controller.GetOutputPort(name) for name in ("alpha", "measured_posture"))
-        self.requirements = RequirementWatch(builder, world, station, alpha, signals["active"], posture, filtered)
+        self.requirements = RequirementWatch(
+            builder, world, station, alpha, signals["active"], posture, filtered, monitored
+        )
         self.log = RunLog(builder, controller, filtered, self.requirements.signals, period)
         self._ports = {
             name: (system, system.GetOutputPort(name))
