@@ -26,7 +26,6 @@ from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.innovation_detector import InnovationDetector
 from systems.knn_detector import KnnDetector
-from systems.late_step import LateStep
 from systems.loop_closer import LoopCloser
 from systems.mahalanobis_detector import MahalanobisDetector
 from systems.manual_disturbance import ManualDisturbance
@@ -156,7 +155,6 @@ CASES = {
     ),
     "BodyForce": (lambda: BodyForce(BodyIndex(1), np.zeros(3)), {("force", "spatial_force")}),
     "CameraFault": (lambda: CameraFault(112, 112, PERIOD), {(i, "faulty_image") for i in ("rgb_image", "fault")}),
-    "LateStep": (lambda: LateStep(posture_size=M, period=PERIOD), {("desired_posture", "followed_posture")}),
     "FirstGiven": (lambda: FirstGiven(2), {("first", "given"), ("second", "given")}),
     "GammaDial": (lambda: GammaDial(3), {(i, "dialled_alpha") for i in ("errors", "alpha", "gamma")}),
     "DialledDetector": (
