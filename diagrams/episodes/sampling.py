@@ -112,7 +112,9 @@ class EpisodeSampler:
             self.require_reachable(can_xy)
         except InputError as error:
             if can_xy == sampled_xy:  # nobody gave it
-                error.add_note(f"it is a place of world.grid ({self._world.grid}): lower its spacing, or move its corner")
+                error.add_note(
+                    f"it is a place of world.grid ({self._world.grid}): lower its spacing, or move its corner"
+                )
             raise
         disturbance, clear = self._disturbance(experimenter, kind, can_xy, vacant)
         if disturbance.fault is not None:

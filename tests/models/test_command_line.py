@@ -38,7 +38,8 @@ def test_bad_input_is_one_line(capsys):
 def test_a_name_that_is_no_text_is_told():
     code = "from models.command_line import run\nrun(lambda _: open('gone/\\udcff'), lambda: None)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)
-    assert (done.returncode, done.stderr) == (2, b"error: gone/\\udcff: No such file or directory: choose another name\n")
+    assert done.returncode == 2
+    assert done.stderr == b"error: gone/\\udcff: No such file or directory: choose another name\n"
 
 
 @pytest.mark.parametrize(
