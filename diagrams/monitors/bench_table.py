@@ -1,0 +1,210 @@
+"""What the rows of the bench say: a record an episode, detector and recovery; cells of these; tables of the cells."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diagrams.monitors.bench_plan import NEVER, NONE, ORACLE
+from diagrams.monitors.bench_task import BenchTask
+from diagrams.monitors.metrics import Monitored, contingency, labels, measured, severity_noticed_by_half
+from diagrams.monitors.scoring import largest_before
+from diagrams.world.faults.registry import kind_label
+from models.files.container import whole_file
+from systems.recoveries.registry import RECOVERIES
+
+TABLE = "bench.parquet"
+# Of a cell, in this order. Those of NOTICED are of the cell's episodes and the undisturbed ones of the same scenes,
+# without which nothing would be there that no alarm is needed in; the others of its episodes alone.
+FIELDS = (
+    "tasks", "tpr", "tnr", "balanced_accuracy", "auroc", "auprc", "twa", "detection_s", "false_alarms_per_hour",
+    "seconds_lost", "net_benefit", "gap_closed",
+)  # fmt: skip
+NOTICED = ("tpr", "tnr", "balanced_accuracy", "auroc", "auprc", "twa", "false_alarms_per_hour")
+
+Rows = Mapping[str, dict[str, Any]]
+
+
+def records(
+    off: Sequence[BenchTask], loops: Sequence[BenchTask], rows: Rows, recoveries: Sequence[str], period: float
+) -> list[dict[str, Any]]:
+    """One for each detector, recovery and episode with the detector off; not of void ones, nor of those with an error.
+
+    An episode in which a detector does not alarm is that with the detector off. `period`: of the ticks, s.
+    """
+    acted = {(t.rnn, t.training_seed, t.kind, t.severity, t.seed, t.detectors[0].label, t.recovery): t for t in loops}
+    found = []
+    for task in off:
+        row = rows[task.key]
+        if row["error"] is not None or row["void"]:
+            continue
+        episode = task.rnn, task.training_seed, task.kind, task.severity, task.seed
+        never = bool(row["success"])
+
+        def done(label: str, recovery: str, episode=episode, never=never) -> tuple[bool, float] | None:
+            """Success and seconds in the loop; None: it raised an error there."""
+            loop = acted.get((*episode, label, recovery))
+            if loop is None:
+                return never, 0.0
+            ran = rows[loop.key]
+            return None if ran["error"] is not None else (bool(ran["success"]), ran["sim_seconds"])
+
+        for recovery in recoveries:
+            oracle = done(ORACLE, recovery)
+            for scored in task.detectors:
+                own = done(scored.label, recovery)
+                if own is None or oracle is None:
+                    continue
+                said, onset = row["detectors"][scored.label], row["onset"]
+                acts = (*episode, scored.label, recovery) in acted
+                needless = acts and never and own[0]
+                found.append(
+                    {
+                        "detector": scored.label,
+                        "fault": kind_label(task.kind),
+                        "severity": task.severity,
+                        "recovery": RECOVERIES.label(recovery),
+                        "rnn": task.rnn,
+                        "training_seed": task.training_seed,
+                        "seed": task.seed,
+                        "onset_s": None if onset is None else onset * period,
+                        "alarm_s": None if said["alarm"] is None else said["alarm"] * period,
+                        "false_alarms": said["false_alarms"],
+                        "normal_s": (row["ticks"] if onset is None else onset) * period,
+                        "ticks": row["ticks"],
+                        "length_s": row["ticks"] * period,
+                        "needed": not never,
+                        "success": own[0],
+                        "oracle_success": oracle[0],
+                        "lost_s": max(own[1] - row["ticks"] * period, 0.0) if needless else 0.0,
+                        "peaks": said["peaks"],
+                        "weights_hash": task.weights_hash,
+                    }
+                )
+    for record, label in zip(found, labels(monitored(found)).tolist() if found else (), strict=True):
+        record["label"] = label
+    return found
+
+
+def monitored(found: Sequence[dict[str, Any]]) -> Monitored:
+    """The arrays that the metrics are of; the scores cut at the shortest of these runs."""
+    shortest = min((record["ticks"] for record in found), default=0)
+
+    def column(name: str, kind: type) -> np.ndarray:
+        return np.array([np.nan if record[name] is None else record[name] for record in found], kind)
+
+    return Monitored(
+        scene=column("seed", int), training_seed=column("training_seed", int),
+        score=np.array([largest_before(record["peaks"], shortest) for record in found]),
+        onset=column("onset_s", float), alarm=column("alarm_s", float), false_alarms=column("false_alarms", int),
+        normal_time=column("normal_s", float), length=column("length_s", float), needed=column("needed", bool),
+        success=column("success", bool), oracle_success=column("oracle_success", bool), lost=column("lost_s", float),
+    )  # fmt: skip
+
+
+def cells(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One for each detector, fault, severity and recovery, in the order of the records: FIELDS, see `measured`."""
+    return [_cell(own, base) for own, base in _groups(found, ("detector", "fault", "severity", "recovery"))]
+
+
+def pooled(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The same of all faults and severities together, one for each detector and recovery."""
+    return [
+        _cell(own, base) | {"fault": "pooled", "severity": None}
+        for own, base in _groups([r for r in found if r["fault"] != NONE], ("detector", "recovery"), found)
+    ]
+
+
+def _groups(found, names, undisturbed=None):
+    """Records alike in `names`, and the undisturbed ones of the same detector and recovery, of other records if given."""
+    groups: dict[tuple, list[dict[str, Any]]] = {}
+    for record in found:
+        groups.setdefault(tuple(record[name] for name in names), []).append(record)
+    for own in groups.values():
+        same = own[0]["detector"], own[0]["recovery"]
+        base = [] if own[0]["fault"] == NONE else [
+            record for record in undisturbed or found
+            if record["fault"] == NONE and (record["detector"], record["recovery"]) == same
+        ]  # fmt: skip
+        yield own, base
+
+
+def _cell(own: list[dict[str, Any]], base: list[dict[str, Any]]) -> dict[str, Any]:
+    alone, together = measured(monitored(own)), measured(monitored([*own, *base]))
+    names = ("detector", "fault", "severity", "recovery")
+    labelled = {name: own[0][name] for name in names} | {"n": len(own)}
+    return labelled | {name: (together if name in NOTICED else alone)[name] for name in FIELDS}
+
+
+def worth(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """How often each label of an alarm, or of a silence, and by whether there was a fault, and what came of it."""
+    return [
+        {name: own[0][name] for name in ("detector", "fault", "severity", "recovery")}
+        | {"labels": contingency(monitored(own))}
+        for own, _ in _groups(found, ("detector", "fault", "severity", "recovery"))
+    ]
+
+
+def half_noticed(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The severity at which half is noticed, of each detector and fault with several severities."""
+    first = [record for record in found if record["recovery"] == found[0]["recovery"]]  # it is of the runs without
+    entries = []
+    for own, _ in _groups([r for r in first if r["severity"] is not None], ("detector", "fault"), first):
+        severity = np.array([record["severity"] for record in own])
+        if len(np.unique(severity)) > 1:
+            runs = monitored(own)
+            value = severity_noticed_by_half(severity, runs.noticed, runs.scene)
+            entries.append({"detector": own[0]["detector"], "fault": own[0]["fault"], "severity": value})
+    return entries
+
+
+def write_table(folder: Path, found: Sequence[dict[str, Any]]) -> Path:
+    """Writes the records, but for their peaks, as a table in `folder`; returns its name."""
+    import pandas as pd
+
+    path = folder / TABLE
+    rows = [{name: value for name, value in record.items() if name != "peaks"} for record in found]
+    with whole_file(path) as partial:
+        pd.DataFrame(rows).to_parquet(partial, index=False)
+    return path
+
+
+COLUMNS = {
+    "tasks": "tasks", "tpr": "TPR", "tnr": "TNR", "balanced_accuracy": "bal.acc", "auroc": "AUROC", "twa": "TWA",
+    "detection_s": "seen s", "false_alarms_per_hour": "false/h", "seconds_lost": "lost s", "net_benefit": "net",
+    "gap_closed": "gap",
+}  # fmt: skip
+WIDTH = 20  # of a column with its interval
+
+
+def text(summary: Mapping[str, Any]) -> str:
+    """The pooled faults, a line a detector and recovery; and the tasks done, detectors by recoveries."""
+    lines = ["all faults, with 95 % intervals over scenes", f"{'detector':20s} {'recovery':10s} {'n':>4s}"]
+    lines[-1] += "".join(f"{word:>{WIDTH}s}" for word in COLUMNS.values())
+    for cell in summary["pooled"]:
+        values = "".join(f"{_words(cell[name]):>{WIDTH}s}" for name in COLUMNS)
+        lines.append(f"{cell['detector']:20s} {cell['recovery']:10s} {cell['n']:4d}{values}")
+    recoveries = list(dict.fromkeys(cell["recovery"] for cell in summary["pooled"]))
+    tasks = {(c["detector"], c["recovery"]): _words(c["tasks"]) for c in summary["pooled"]}
+    lines += ["", f"{'tasks done':20s} " + "".join(f"{name:>{WIDTH}s}" for name in recoveries)]
+    for detector in dict.fromkeys(cell["detector"] for cell in summary["pooled"]):
+        lines.append(f"{detector:20s} " + "".join(f"{tasks[detector, name]:>{WIDTH}s}" for name in recoveries))
+    by_fault = {
+        (c["detector"], c["fault"], c["severity"]): c for c in summary["cells"] if c["recovery"] == recoveries[0]
+    }
+    lines += ["", f"tasks done by fault, {recoveries[0]}; and how many of them without a detector"]
+    for fault, severity in dict.fromkeys((fault, severity) for _, fault, severity in by_fault):
+        name = fault if severity is None else f"{fault} {severity:g}"
+        own = {d: c["tasks"]["value"] for (d, f, s), c in by_fault.items() if (f, s) == (fault, severity)}
+        others = ", ".join(f"{d} {v:.2f}" for d, v in own.items() if d != NEVER)
+        lines.append(f"{name:24s} {own[NEVER]:.2f}; {others}")
+    return "\n".join(lines)
+
+
+def _words(entry: dict[str, Any] | None) -> str:
+    """A value and its interval."""
+    if entry is None:
+        return "-"
+    low, high = entry["interval"]
+    return f"{entry['value']:.2f} [{low:.2f}, {high:.2f}]"
