@@ -1,6 +1,7 @@
 """The bench's networks, and the detectors that are fitted to their runs: files in a folder of its own."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -67,9 +68,7 @@ def copy_networks(arguments: BenchArguments, world: World) -> list[Network]:
 
 def _of_kind(folder: Path, rnn: str) -> list[Path]:
     """Files of the networks of that kind, of all training seeds."""
-    return sorted(
-        path for path in folder.glob(f"{rnn}*.onnx") if path.stem.removeprefix(rnn).strip("-0123456789") == ""
-    )
+    return sorted(path for path in folder.glob("*.onnx") if re.fullmatch(rf"{re.escape(rnn)}(-\d+)?", path.stem))
 
 
 class Fitted:

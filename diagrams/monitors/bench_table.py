@@ -1,6 +1,6 @@
 """What the rows of the bench say: a record an episode, detector and recovery; cells of these; tables of the cells."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +23,14 @@ FIELDS = (
 )  # fmt: skip
 NOTICED = ("tpr", "tnr", "balanced_accuracy", "auroc", "auprc", "twa", "false_alarms_per_hour")
 
+CELL = ("detector", "fault", "severity", "recovery")
+Record = dict[str, Any]  # see `records`
 Rows = Mapping[str, dict[str, Any]]
 
 
 def records(
     off: Sequence[BenchTask], loops: Sequence[BenchTask], rows: Rows, recoveries: Sequence[str], period: float
-) -> list[dict[str, Any]]:
+) -> list[Record]:
     """One for each detector, recovery and episode with the detector off; not of void ones, nor of those with an error.
 
     An episode in which a detector does not alarm is that with the detector off. `period`: of the ticks, s.
@@ -87,7 +89,7 @@ def records(
     return found
 
 
-def monitored(found: Sequence[dict[str, Any]]) -> Monitored:
+def monitored(found: Sequence[Record]) -> Monitored:
     """The arrays that the metrics are of; the scores cut at the shortest of these runs."""
     shortest = min((record["ticks"] for record in found), default=0)
 
@@ -103,12 +105,12 @@ def monitored(found: Sequence[dict[str, Any]]) -> Monitored:
     )  # fmt: skip
 
 
-def cells(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def cells(found: Sequence[Record]) -> list[Record]:
     """One for each detector, fault, severity and recovery, in the order of the records: FIELDS, see `measured`."""
-    return [_cell(own, base) for own, base in _groups(found, ("detector", "fault", "severity", "recovery"))]
+    return [_cell(own, base) for own, base in _groups(found, CELL, found)]
 
 
-def pooled(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def pooled(found: Sequence[Record]) -> list[Record]:
     """The same of all faults and severities together, one for each detector and recovery."""
     return [
         _cell(own, base) | {"fault": "pooled", "severity": None}
@@ -116,41 +118,41 @@ def pooled(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _groups(found, names, undisturbed=None):
-    """Records alike in `names`, and the undisturbed ones of the same detector and recovery, of other records if given."""
-    groups: dict[tuple, list[dict[str, Any]]] = {}
+def _groups(
+    found: Sequence[Record], names: tuple[str, ...], everything: Sequence[Record] = ()
+) -> Iterator[tuple[list[Record], list[Record]]]:
+    """Records alike in `names`; and the undisturbed ones of their detector and recovery, where `everything` is given.
+
+    Those are no others than they where they are undisturbed themselves.
+    """
+    groups: dict[tuple, list[Record]] = {}
     for record in found:
         groups.setdefault(tuple(record[name] for name in names), []).append(record)
     for own in groups.values():
         same = own[0]["detector"], own[0]["recovery"]
-        base = [] if own[0]["fault"] == NONE else [
-            record for record in undisturbed or found
-            if record["fault"] == NONE and (record["detector"], record["recovery"]) == same
-        ]  # fmt: skip
-        yield own, base
+        undisturbed = [r for r in everything if r["fault"] == NONE and (r["detector"], r["recovery"]) == same]
+        yield own, undisturbed if own[0]["fault"] != NONE else []
 
 
-def _cell(own: list[dict[str, Any]], base: list[dict[str, Any]]) -> dict[str, Any]:
+def _cell(own: list[Record], base: list[Record]) -> dict[str, Any]:
     alone, together = measured(monitored(own)), measured(monitored([*own, *base]))
-    names = ("detector", "fault", "severity", "recovery")
-    labelled = {name: own[0][name] for name in names} | {"n": len(own)}
+    labelled = {name: own[0][name] for name in CELL} | {"n": len(own)}
     return labelled | {name: (together if name in NOTICED else alone)[name] for name in FIELDS}
 
 
-def worth(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def worth(found: Sequence[Record]) -> list[Record]:
     """How often each label of an alarm, or of a silence, and by whether there was a fault, and what came of it."""
     return [
-        {name: own[0][name] for name in ("detector", "fault", "severity", "recovery")}
-        | {"labels": contingency(monitored(own))}
-        for own, _ in _groups(found, ("detector", "fault", "severity", "recovery"))
+        {name: own[0][name] for name in CELL} | {"labels": contingency(monitored(own))}
+        for own, _ in _groups(found, CELL)
     ]
 
 
-def half_noticed(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def half_noticed(found: Sequence[Record]) -> list[Record]:
     """The severity at which half is noticed, of each detector and fault with several severities."""
     first = [record for record in found if record["recovery"] == found[0]["recovery"]]  # it is of the runs without
     entries = []
-    for own, _ in _groups([r for r in first if r["severity"] is not None], ("detector", "fault"), first):
+    for own, _ in _groups([record for record in first if record["severity"] is not None], ("detector", "fault")):
         severity = np.array([record["severity"] for record in own])
         if len(np.unique(severity)) > 1:
             runs = monitored(own)
@@ -159,7 +161,7 @@ def half_noticed(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return entries
 
 
-def write_table(folder: Path, found: Sequence[dict[str, Any]]) -> Path:
+def write_table(folder: Path, found: Sequence[Record]) -> Path:
     """Writes the records, but for their peaks, as a table in `folder`; returns its name."""
     import pandas as pd
 
