@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diagrams.monitors.bench_plan import NEVER, NONE, ORACLE
+from diagrams.monitors.bench_plan import NONE, ORACLE
 from diagrams.monitors.bench_task import BenchTask
 from diagrams.monitors.metrics import Monitored, contingency, labels, measured, severity_noticed_by_half
 from diagrams.monitors.scoring import largest_before
@@ -173,40 +173,47 @@ def write_table(folder: Path, found: Sequence[Record]) -> Path:
 
 
 COLUMNS = {
-    "tasks": "tasks", "tpr": "TPR", "tnr": "TNR", "balanced_accuracy": "bal.acc", "auroc": "AUROC", "twa": "TWA",
-    "detection_s": "seen s", "false_alarms_per_hour": "false/h", "seconds_lost": "lost s", "net_benefit": "net",
-    "gap_closed": "gap",
+    "tasks": "tasks", "tpr": "TPR", "tnr": "TNR", "balanced_accuracy": "bal.acc", "auroc": "AUROC", "auprc": "AUPRC",
+    "twa": "TWA", "detection_s": "seen s", "false_alarms_per_hour": "false/h", "seconds_lost": "lost s",
+    "net_benefit": "net", "gap_closed": "gap",
 }  # fmt: skip
-WIDTH = 20  # of a column with its interval
 
 
 def text(summary: Mapping[str, Any]) -> str:
-    """The pooled faults, a line a detector and recovery; and the tasks done, detectors by recoveries."""
-    lines = ["all faults, with 95 % intervals over scenes", f"{'detector':20s} {'recovery':10s} {'n':>4s}"]
-    lines[-1] += "".join(f"{word:>{WIDTH}s}" for word in COLUMNS.values())
-    for cell in summary["pooled"]:
-        values = "".join(f"{_words(cell[name]):>{WIDTH}s}" for name in COLUMNS)
-        lines.append(f"{cell['detector']:20s} {cell['recovery']:10s} {cell['n']:4d}{values}")
-    recoveries = list(dict.fromkeys(cell["recovery"] for cell in summary["pooled"]))
-    tasks = {(c["detector"], c["recovery"]): _words(c["tasks"]) for c in summary["pooled"]}
-    lines += ["", f"{'tasks done':20s} " + "".join(f"{name:>{WIDTH}s}" for name in recoveries)]
-    for detector in dict.fromkeys(cell["detector"] for cell in summary["pooled"]):
-        lines.append(f"{detector:20s} " + "".join(f"{tasks[detector, name]:>{WIDTH}s}" for name in recoveries))
-    by_fault = {
-        (c["detector"], c["fault"], c["severity"]): c for c in summary["cells"] if c["recovery"] == recoveries[0]
-    }
-    lines += ["", f"tasks done by fault, {recoveries[0]}; and how many of them without a detector"]
-    for fault, severity in dict.fromkeys((fault, severity) for _, fault, severity in by_fault):
+    """The pooled faults, a line a detector and recovery; the tasks done, detectors by recoveries; and by fault."""
+    cells, everything = summary["cells"], summary["pooled"]
+    recoveries = list(dict.fromkeys(cell["recovery"] for cell in everything))
+    detectors = list(dict.fromkeys(cell["detector"] for cell in everything or cells))
+    width = max(map(len, detectors)) + 2
+    lines = [f"{'all faults':{width}s}{'recovery':10s}{'n':>6s}" + "".join(f"{w:>9s}" for w in COLUMNS.values())]
+    for cell in everything:
+        values = "".join(f"{'-' if cell[name] is None else _number(cell[name]['value']):>9s}" for name in COLUMNS)
+        lines.append(f"{cell['detector']:{width}s}{cell['recovery']:10s}{cell['n']:6d}{values}")
+    tasks = {(cell["detector"], cell["recovery"]): _with_interval(cell["tasks"]) for cell in everything}
+    lines += ["", f"{'tasks done':{width}s}" + "".join(f"{name:>21s}" for name in recoveries)]
+    for detector in detectors:
+        lines.append(f"{detector:{width}s}" + "".join(f"{tasks[detector, name]:>21s}" for name in recoveries))
+    first = recoveries[0]
+    done = {(c["fault"], c["severity"], c["detector"]): c["tasks"]["value"] for c in cells if c["recovery"] == first}
+    lines += ["", f"{'tasks done, ' + first:24s}" + "".join(f"{_short(name):>9s}" for name in detectors)]
+    for fault, severity in dict.fromkeys(key[:2] for key in done):
         name = fault if severity is None else f"{fault} {severity:g}"
-        own = {d: c["tasks"]["value"] for (d, f, s), c in by_fault.items() if (f, s) == (fault, severity)}
-        others = ", ".join(f"{d} {v:.2f}" for d, v in own.items() if d != NEVER)
-        lines.append(f"{name:24s} {own[NEVER]:.2f}; {others}")
+        shares = (done.get((fault, severity, detector)) for detector in detectors)
+        lines.append(f"{name:24s}" + "".join(f"{'-' if s is None else _number(s):>9s}" for s in shares))
+    lines += ["", "All with 95 % intervals over scenes, fault by fault: summary.json."]
     return "\n".join(lines)
 
 
-def _words(entry: dict[str, Any] | None) -> str:
-    """A value and its interval."""
+def _short(name: str) -> str:
+    return name if len(name) <= 8 else name[:7] + "."
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if abs(value) < 100.0 else f"{value:.0f}"
+
+
+def _with_interval(entry: dict[str, Any] | None) -> str:
     if entry is None:
         return "-"
-    low, high = entry["interval"]
-    return f"{entry['value']:.2f} [{low:.2f}, {high:.2f}]"
+    low, high = map(_number, entry["interval"])
+    return f"{_number(entry['value'])} [{low}, {high}]"
