@@ -127,7 +127,7 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
         meshcat.SetProperty(distraction, "visible", False)
     meshcat.SetCameraPose([1.5, -0.9, 0.8], [0.35, 0.0, 0.15])  # the desk fills the view
     fault = episode.disturbance.kind if episode.disturbance.fault else None
-    shown = dict(meshcat=meshcat, video=video, hands=bool(cli.hands), fault=fault)
+    shown = dict(meshcat=meshcat, video=video, hands=bool(cli.hands), fault=fault, monitored=True)
     rollout = build_rollout(cli.world, cli.weights / ENCODER, controller, **shown)
     if cli.policy is None:
         require_named(rollout.policy, cli.rnn, controller.policy)
@@ -205,7 +205,9 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
         switching = "as it should" if outcome.switch_success else f"failed ({outcome.switch_failure})"
         print(f"switching {switching}" + ("" if delay is None else f": noticed after {delay:.1f} s"))
     if outcome.judged and (missed := broken(record.signals, cli.world.timing.period)):
-        print(f"requirements broken: {', '.join(missed)} (diagrams/world/requirements.stl)")
+        by = rollout.requirements.robustness(rollout.simulator.get_context())
+        words = ", ".join(f"{name} by {-by[name]:.3g}" for name in missed)
+        print(f"requirements broken: {words} (diagrams/world/requirements.stl)")
     rate = f"{outcome.realtime_factor:.1f} times real time"
     print(f"{outcome.sim_seconds:.1f} s simulated in {outcome.wall_seconds:.1f} s ({rate})")
     if cli.realtime_rate:

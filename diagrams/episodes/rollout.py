@@ -63,6 +63,7 @@ class Rollout:
         hands: bool = False,
         fault: str | None = None,
         recovery: str = SHIPPED,
+        monitored: bool = False,
     ):
         """
         Args:
@@ -73,6 +74,7 @@ class Rollout:
             hands: with a person's hands (`self.hands`, see world/hands.py) between the parts.
             fault: with the system of this fault (`self.fault`, see world/faults/) between the parts.
             recovery: what the arm does while alpha is high, of systems/recoveries/.
+            monitored: whether `requirements` tells in each tick how well they are kept; 5 % of a run's time.
 
         Raises InputError for networks, camera and world that do not fit together.
         """
@@ -128,7 +130,9 @@ class Rollout:
         for name in ("desired_posture", "can_place"):
             builder.Connect(signals[name], station.GetInputPort(name))
         alpha, posture = (controller.GetOutputPort(name) for name in ("alpha", "measured_posture"))
-        self.requirements = RequirementWatch(builder, world, station, alpha, signals["active"], posture, filtered)
+        self.requirements = RequirementWatch(
+            builder, world, station, alpha, signals["active"], posture, filtered, monitored
+        )
         self.log = RunLog(builder, controller, filtered, self.requirements.signals, period)
         self._ports = {
             name: (system, system.GetOutputPort(name))

@@ -98,6 +98,6 @@ class NetworkArguments(Arguments):
         from diagrams.episodes.sampling import EpisodeSampler
         from models.inference import Encoder, Policy
 
-        rollout = Rollout(self.loaded_world(), Encoder(self.encoder_path), Policy(self.policy_path))
+        rollout = Rollout(self.loaded_world(), Encoder(self.encoder_path), Policy(self.policy_path), monitored=True)
         require_named(rollout.policy, self.rnn, self.policy_path)
         return rollout, EpisodeSampler(rollout.world).sample(self.seed, kind, rnn=rollout.policy.name)

@@ -26,17 +26,24 @@ class RequirementWatch:
         active: OutputPort,
         posture: OutputPort,
         command: OutputPort,
+        monitored: bool,
     ):
-        """`alpha`, `active`: (1,); `posture`, `command`: (8,), m_k and what the controller makes of it."""
+        """
+        Args:
+            alpha, active: (1,).
+            posture, command: (8,), m_k and what the controller makes of it.
+            monitored: with RequirementMonitor, without which there are the signals alone, of a run's record.
+        """
         period = world.timing.period
         within = DiagramBuilder()
         meter = within.AddNamedSystem("clearance_meter", ClearanceMeter(world, station))
         signals = within.AddNamedSystem("signals", RequirementSignals(world, *controller_limits(station)))
-        monitor = within.AddNamedSystem("monitor", RequirementMonitor(requirements(period), SIGNALS, period))
         within.Connect(meter.get_output_port(), signals.GetInputPort("clearance"))
-        within.Connect(signals.get_output_port(), monitor.get_input_port())
         within.ExportOutput(signals.get_output_port(), "signals")
-        within.ExportOutput(monitor.get_output_port(), "robustness")
+        if monitored:
+            monitor = within.AddNamedSystem("monitor", RequirementMonitor(requirements(period), SIGNALS, period))
+            within.Connect(signals.get_output_port(), monitor.get_input_port())
+            within.ExportOutput(monitor.get_output_port(), "robustness")
         within.ExportInput(meter.GetInputPort("query_object"), "query_object")
         given = {"alpha": alpha, "active": active, "posture": posture}
         for name in given:
@@ -50,6 +57,6 @@ class RequirementWatch:
         self.signals, self._watching, self._names = watching.GetOutputPort("signals"), watching, requirements(period)
 
     def robustness(self, root: Context) -> dict[str, float]:
-        """`robustness_of` the run so far, by its root's Context in the middle of a tick."""
+        """`robustness_of` the run so far, by its root's Context in the middle of a tick; where it is monitored."""
         port, context = self._watching.GetOutputPort("robustness"), self._watching.GetMyContextFromRoot(root)
         return dict(zip(self._names, port.Eval(context).tolist(), strict=True))

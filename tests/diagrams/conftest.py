@@ -43,4 +43,4 @@ def policy(world):
 @pytest.fixture(scope="session")
 def rollout(world, encoder, policy):
     """The whole closed loop without weights."""
-    return Rollout(world, encoder, policy)
+    return Rollout(world, encoder, policy, monitored=True)
