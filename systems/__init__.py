@@ -48,5 +48,5 @@ switched_controller    all of the controller, as one Diagram
 arguments              checks of constructor arguments
 =====================  =============================================================================================
 
-Faults, which diagrams/FAULTS.md lists, are in the room faults/.
+Faults, which diagrams/FAULTS.md lists, are in the room faults/; what the arm does after an alarm, in recoveries/.
 """

@@ -34,6 +34,8 @@ from systems.oracle_detector import OracleDetector
 from systems.posture_history import PostureHistory
 from systems.pyod_detector import PyodDetector
 from systems.recall_detector import RecallDetector
+from systems.recoveries.hold import HoldRecovery
+from systems.recoveries.retrace import RetraceRecovery
 from systems.recurrent_policy import RecurrentPolicy
 from systems.regulated_mixer import RegulatedMixer
 from systems.requirement_monitor import RequirementMonitor
@@ -139,6 +141,11 @@ CASES = {
     "HomeReset": (
         lambda: HomeReset(posture_size=M, initial_posture=np.zeros(3), tolerance=np.ones(3)),
         {("posture", "reset"), ("alpha", "reset")},
+    ),
+    "HoldRecovery": (lambda: HoldRecovery(FakePolicy(), 3, PERIOD), {("alarm", "acting")}),
+    "RetraceRecovery": (
+        lambda: RetraceRecovery(FakePolicy(), 3, PERIOD),
+        {("alarm", "acting"), ("alarm", "memory")},
     ),
     "FingerRelease": (
         lambda: FingerRelease(posture_size=M, joints=3, opening=[0.08], empty_below=[0.035]),
