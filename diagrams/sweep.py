@@ -23,12 +23,12 @@ from diagrams.sweeps.plan import SweepArguments, plan
 from diagrams.sweeps.sequential import decided, rounds
 from diagrams.sweeps.task import FILES, HASHES, Task, believed, error_row, run_task
 from diagrams.world.scenario import load_world
-from models.checks import require_one_of
+from models.checks import require_one_of, require_plain
 from models.command_line import require, run
 from models.errors import InputError
 from models.files.container import write_bytes, write_text
 
-ROWS = "rows.jsonl"  # in the folder --out
+ROWS, SUMMARY = "rows.jsonl", "summary.json"  # in the folder --out
 
 
 def parse(arguments: list[str] | None = None) -> SweepArguments:
@@ -57,12 +57,14 @@ def main(arguments: SweepArguments) -> int:
     arguments.check()
     optional = {"distributed": arguments.scheduler, "foxglove": arguments.mcap}
     require("pandas", "pyarrow", "scipy", *(name for name, needed in optional.items() if needed))
-    from diagrams.sweeps.table import require_rows
+    from diagrams.sweeps.table import TABLE, require_rows
 
     world, out = load_world(arguments.world), arguments.out
     tasks, names = plan(arguments, world)
-    if (out / "episodes.parquet").exists() and not (out / ROWS).exists():
+    if (out / TABLE).exists() and not (out / ROWS).exists():
         raise InputError(f"{out} holds a table without its rows ({ROWS}), which would be lost: choose another --out")
+    for name in (TABLE, SUMMARY):
+        require_plain(out / name, "choose another --out")
     with RowStore(out / ROWS, fingerprint(world)) as store:
         rows = store.rows
         for task in tasks:
@@ -128,13 +130,13 @@ def finish(arguments: SweepArguments, rows: list[dict[str, Any]]) -> int:
         "cells": cells(frame),
         "comparisons": comparisons(frame),
     }
-    write_text(arguments.out / "summary.json", json.dumps(summary, indent=1) + "\n")
+    write_text(arguments.out / SUMMARY, json.dumps(summary, indent=1) + "\n")
     print(table(summary))
     errors = sum(row["error"] is not None for row in rows)
     if errors:
         words = f"{errors} of {len(rows)} episodes raised an error: see the column `traceback` of {path}"
         print(words, file=sys.stderr)
-    print(f"written: {path}, {arguments.out / 'summary.json'}")
+    print(f"written: {path}, {arguments.out / SUMMARY}")
     return 1 if errors else 0
 
 

@@ -112,9 +112,10 @@ def _open_streams() -> None:
             null = os.open(os.devnull, os.O_RDWR)  # gets that number, which else the next file would have
             os.set_inheritable(null, True)
             setattr(sys, name, open(null, "w" if number else "r", encoding="utf-8"))  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):
+    # A terminal may have no plus-minus sign; a refused name has to be told, whatever its bytes are.
+    for stream, errors in ((sys.stdout, "replace"), (sys.stderr, "backslashreplace")):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal may have no plus-minus sign
+            stream.reconfigure(errors=errors)
 
 
 def _flush() -> int:

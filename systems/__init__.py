@@ -38,7 +38,6 @@ manual_disturbance     a person's hand on the arm: holds or moves it, whenever a
 signal_schedule        a signal that changes at given ticks: what a person did, when
 body_force             a force that pulls at a body
 camera_fault           the camera is covered, it gets dark, its picture freezes (abstract state)
-late_step              the controller's step comes too late: the last command holds (discrete state)
 first_given            two sources for one signal, by rank
 dialled_detector       a detector whose gamma is an input
 signal_logic           requirements in signal temporal logic: by how much arrays of signals keep them
@@ -49,5 +48,5 @@ switched_controller    all of the controller, as one Diagram
 arguments              checks of constructor arguments
 =====================  =============================================================================================
 
-Faults, which diagrams/FAULTS.md lists, are in the room faults/.
+Faults, which diagrams/FAULTS.md lists, are in the room faults/; what the arm does after an alarm, in recoveries/.
 """

@@ -15,7 +15,7 @@ class RecurrentPolicy(LeafSystem):
     .. pydrake_system::
 
         name: RecurrentPolicy
-        input_ports: [network_input, reset]  # and rgb_image, for a policy that looks at the picture itself
+        input_ports: [network_input, reset]  # and rgb_image, for a policy that looks itself; memory, where told so
         output_ports: [predicted_posture, predicted_features, recalled_postures, hidden_state]
 
     Inputs:
@@ -24,6 +24,8 @@ class RecurrentPolicy(LeafSystem):
             what is recalled moves on by a row, as in a network that rests there. So all that was recalled before is
             gone after N + 1 such ticks, not at once. Left unconnected, there is no reset.
         rgb_image: ImageRgba8U, square, at least 112 pixels wide; read at the ticks only.
+        memory: (1 + S + (N + 1) M + F,) where the first is above 1/2, the update takes the others for what the outputs
+            hidden_state, recalled_postures and predicted_features are, and does nothing else.
     Outputs (of the state alone, none has direct feedthrough; after the update of tick k):
         predicted_posture: (M,) m^R_{k+1}, scaled, clipped to [-1, 1].
         predicted_features: (F,) f^R_{k+1}, clipped to [-1, 1].
@@ -36,7 +38,7 @@ class RecurrentPolicy(LeafSystem):
     features 0.
     """
 
-    def __init__(self, policy, period: float = 0.1):
+    def __init__(self, policy, period: float = 0.1, rewinds: bool = False):
         """
         Args:
             policy: any object with `posture_size` M, `feature_size` F, `state_size` S, `horizon` N, `initial_state`
@@ -44,6 +46,7 @@ class RecurrentPolicy(LeafSystem):
                 see models/inference.py and models/policy.py. S may be 0; `looks`, if it is there and true: `step`
                 takes the picture too; `recalls`, if it is there and false: `step` recalls None.
             period: of the ticks, s.
+            rewinds: with the input `memory`.
         """
         super().__init__()
         self._policy = policy
@@ -65,6 +68,10 @@ class RecurrentPolicy(LeafSystem):
         self._predicted_features = self.DeclareDiscreteState(self._initial[0])
         self._recalled = self.DeclareDiscreteState(np.tile(posture, self._horizon + 1))
         self._hidden = self.DeclareDiscreteState(initial_state)
+        self._memory = None
+        if rewinds:
+            size = state_size + len(posture) * (self._horizon + 1) + self._feature_size
+            self._memory = self.DeclareVectorInputPort("memory", 1 + size)
         of_recall = {self.discrete_state_ticket(self._recalled)}
         self.DeclareVectorOutputPort("predicted_posture", self._posture_size, self._calc_prediction, of_recall)
         self.DeclareStateOutputPort("predicted_features", self._predicted_features)
@@ -85,6 +92,12 @@ class RecurrentPolicy(LeafSystem):
         output.SetFromVector(context.get_discrete_state(self._recalled).value()[: self._posture_size])
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
+        if self._memory is not None and (memory := self._memory.Eval(context))[0] > 0.5:
+            groups = self._hidden, self._recalled, self._predicted_features
+            sizes = [context.get_discrete_state(group).size() for group in groups]
+            for group, values in zip(groups, np.split(memory[1:], np.cumsum(sizes)[:-1]), strict=True):
+                discrete_state.set_value(group, values)
+            return
         if self._reset.HasValue(context) and self._reset.Eval(context)[0] > 0.5:
             features, posture, hidden = self._initial
             before = context.get_discrete_state(self._recalled).value()

@@ -2,8 +2,9 @@
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
-from pydrake.systems.primitives import AffineSystem, ZeroOrderHold
+from pydrake.systems.primitives import AffineSystem, ConstantVectorSource, ZeroOrderHold
 
+from systems.alpha_mixer import AlphaMixer
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
 from systems.detector import check_detector
 from systems.finger_release import FingerRelease
@@ -32,8 +33,9 @@ class SwitchedController(Diagram):
         gamma: (1,) see systems/dialled_detector.py; active: (1,) see systems/detector.py; only with such a detector.
     Outputs (physical units; constant between ticks, but for the last two, which alone have direct feedthrough):
         desired_posture: (M,) the command m_k + dm; at home, empty fingers open.
-        rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, per tick.
-        alpha: (1,) alpha_k, which closed the loop at tick k and mixes until the next one.
+        rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, or the recovery's step, per tick.
+        alpha: (1,) alpha_k, which closed the loop at tick k and mixes until the next one. Of a recovery of its own: 1
+            in the ticks in which that acts, else 0.
         errors: (E,) of the detector, what alpha_k came from.
         hidden_state: (S,) c_k.
         predicted_features: (F,) f^R_{k+1}, in [-1, 1].
@@ -69,6 +71,7 @@ class SwitchedController(Diagram):
         image_height: int = 112,
         home_tolerance=None,
         empty_below=None,
+        recovery: System | None = None,
     ):
         """
         Args:
@@ -88,6 +91,7 @@ class SwitchedController(Diagram):
                 as in the paper.
             empty_below: m; where it starts anew, fingers measured to be nearer than this hold nothing and open: see
                 FingerRelease. None: they stay as they are.
+            recovery: in the LQR's place, see systems/recoveries/; None: the LQR.
         """
         super().__init__()
         period = require_positive("period", period)
@@ -111,40 +115,53 @@ class SwitchedController(Diagram):
 
         image_encoder = builder.AddNamedSystem("image_encoder", ImageEncoder(encoder, image_width, image_height))
         scale = affine("posture_scaling", 1.0 / half_range, -centre / half_range)
-        network = builder.AddNamedSystem("recurrent_policy", RecurrentPolicy(policy, period))
+        rewinds = recovery is not None and recovery.HasOutputPort("memory")
+        network = builder.AddNamedSystem("recurrent_policy", RecurrentPolicy(policy, period, rewinds))
         history = builder.AddNamedSystem(
             "posture_history",
             PostureHistory(posture_size=size, horizon=policy.horizon, period=period, initial_posture=initial),
         )
         closer = builder.AddNamedSystem("loop_closer", LoopCloser(posture_size=size, feature_size=policy.feature_size))
         builder.AddNamedSystem("detector", detector)
-        mixer = builder.AddNamedSystem(
-            "regulated_mixer",
-            RegulatedMixer(
-                posture_size=size,
-                joints=joints,
-                initial_posture=initial,
-                Q=regulator_Q,
-                R=regulator_R,
-                period=period,
-                lower=scaling.scale(joint_lower),
-                upper=scaling.scale(joint_upper),
-                max_step=speed_limits * period / half_range[:joints],
-                finger_openings=scaled_fingers(finger_openings),
-                finger_thresholds=scaled_fingers(finger_thresholds),
-            ),
+        sizes = dict(posture_size=size, joints=joints)
+        limits = dict(
+            lower=scaling.scale(joint_lower),
+            upper=scaling.scale(joint_upper),
+            max_step=speed_limits * period / half_range[:joints],
+            finger_openings=scaled_fingers(finger_openings),
+            finger_thresholds=scaled_fingers(finger_thresholds),
         )
+        mixer: System
+        if recovery is None:
+            lqr = dict(initial_posture=initial, Q=regulator_Q, R=regulator_R, period=period)
+            mixer = builder.AddNamedSystem("regulated_mixer", RegulatedMixer(**sizes, **lqr, **limits))
+        else:
+            mixer = builder.AddNamedSystem("alpha_mixer", AlphaMixer(**sizes, **limits))
 
         def wire(source: System, target: System, *names: str) -> None:
             for name in names:
                 builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
 
+        alpha, step, closed_by = detector.GetOutputPort("alpha"), None, detector.GetOutputPort("alpha")
+        if recovery is not None:
+            builder.AddNamedSystem("recovery", recovery)
+            builder.Connect(alpha, recovery.GetInputPort("alarm"))
+            builder.Connect(scale.get_output_port(), recovery.GetInputPort("posture"))
+            for name in ("hidden_state", "recalled_postures", "predicted_features"):
+                if recovery.HasInputPort(name):
+                    wire(network, recovery, name)
+            if rewinds:
+                wire(recovery, network, "memory")
+            alpha, step = recovery.GetOutputPort("acting"), recovery.GetOutputPort("recovery_step")
+            builder.Connect(step, mixer.GetInputPort("regulator_step"))
+            # The network is fed what is measured all the while.
+            closed_by = builder.AddNamedSystem("loop_stays_closed", ConstantVectorSource([0.0])).get_output_port()
         home = None
         if home_tolerance is not None:
             tolerance = require_positive("home_tolerance", home_tolerance) / half_range[:joints]
             home = HomeReset(posture_size=size, initial_posture=initial[:joints], tolerance=tolerance)
             builder.AddNamedSystem("home_reset", home)
-            wire(detector, home, "alpha")
+            builder.Connect(alpha, home.GetInputPort("alpha"))
             builder.Connect(scale.get_output_port(), home.GetInputPort("posture"))
             wire(home, network, "reset")
         elif empty_below is not None:
@@ -170,7 +187,7 @@ class SwitchedController(Diagram):
         wire(network, closer, "predicted_posture", "predicted_features")
         wire(network, detector, "recalled_postures", "hidden_state")
         wire(network, mixer, "predicted_posture")
-        wire(detector, closer, "alpha")
+        builder.Connect(closed_by, closer.GetInputPort("alpha"))
         for source, name in (
             (image_encoder, "features"), (network, "predicted_features"), (closer, "network_input"), (home, "reset"),
         ):  # fmt: skip
@@ -179,8 +196,8 @@ class SwitchedController(Diagram):
         for name in ("gamma", "active"):
             if detector.HasInputPort(name):
                 builder.ExportInput(detector.GetInputPort(name), name)
-        for name, hold in holds.items():
-            builder.Connect(detector.GetOutputPort(name), hold.get_input_port())
+        for port, hold in zip((alpha, detector.GetOutputPort("errors")), holds.values(), strict=True):
+            builder.Connect(port, hold.get_input_port())
         builder.Connect(holds["alpha"].get_output_port(), mixer.GetInputPort("alpha"))
 
         def unscaled(port, name: str, offset: np.ndarray | float) -> OutputPort:
@@ -205,8 +222,9 @@ class SwitchedController(Diagram):
                 builder.Connect(port, release.GetInputPort(name))
             command = release.get_output_port()
         builder.ExportOutput(command, "desired_posture")
-        for name in ("rnn_step", "regulator_step"):
-            builder.ExportOutput(unscaled(mixer.GetOutputPort(name), name, 0.0), name)
+        steps = mixer.GetOutputPort("rnn_step"), step or mixer.GetOutputPort("regulator_step")
+        for port, name in zip(steps, ("rnn_step", "regulator_step"), strict=True):
+            builder.ExportOutput(unscaled(port, name, 0.0), name)
         for name, hold in holds.items():
             builder.ExportOutput(hold.get_output_port(), name)
         for name in ("hidden_state", "predicted_features", "recalled_postures"):

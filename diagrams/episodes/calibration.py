@@ -16,6 +16,7 @@ from models.networks import network_label
 from models.policy import POLICIES
 from systems.detector import NEVER
 from systems.detectors import DETECTORS
+from systems.recoveries.registry import SHIPPED
 
 RECALL = "recall"  # the detector whose calibration is in the policy's own file
 UNCALIBRATED = {"never", "oracle"}  # detectors without a calibration
@@ -47,6 +48,7 @@ class Controller:
     detector: str = "recall"
     calibration: Calibration | None = None
     spec: str | None = None
+    recovery: str = SHIPPED  # of systems/recoveries/
 
     def load(self):
         """The policy, see models/inference.py; raises WeightsError, or InputError as `own_policy` does."""

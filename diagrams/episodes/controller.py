@@ -7,11 +7,14 @@ from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation, controller_limits
 from diagrams.world.task import HOME_TOLERANCE
 from models.errors import InputError
+from systems.recoveries.registry import RECOVERIES, SHIPPED
 from systems.switched_controller import SwitchedController
 
 
-def make_controller(world: World, station: PickPlaceStation, encoder, policy, detector: System) -> SwitchedController:
-    """See SwitchedController; raises InputError for parts that do not fit together."""
+def make_controller(
+    world: World, station: PickPlaceStation, encoder, policy, detector: System, recovery: str = SHIPPED
+) -> SwitchedController:
+    """See SwitchedController; `recovery`: of RECOVERIES. Raises InputError for parts that do not fit together."""
     lower, upper, speed = controller_limits(station)
     try:
         return SwitchedController(
@@ -31,6 +34,7 @@ def make_controller(world: World, station: PickPlaceStation, encoder, policy, de
             image_height=world.camera.height,
             home_tolerance=HOME_TOLERANCE if world.resumption == "reset" else None,
             empty_below=world.empty_below if world.releases else None,
+            recovery=RECOVERIES[recovery].build(policy, ARM_JOINTS, world.timing.period),
         )
     except ValueError as error:
         raise InputError(f"the controller cannot be built: {error}") from error

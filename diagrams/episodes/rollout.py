@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,7 @@ from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.dialled_detector import DialledDetector
 from systems.disturbance import Disturbance
+from systems.recoveries.registry import RECOVERIES, SHIPPED
 
 FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into the clearance filter
 WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
@@ -60,6 +62,7 @@ class Rollout:
         video: Path | None = None,
         hands: bool = False,
         fault: str | None = None,
+        recovery: str = SHIPPED,
         monitored: bool = False,
     ):
         """
@@ -70,6 +73,7 @@ class Rollout:
             video: an .mp4 to write, finished by `self.video.Save()`.
             hands: with a person's hands (`self.hands`, see world/hands.py) between the parts.
             fault: with the system of this fault (`self.fault`, see world/faults/) between the parts.
+            recovery: what the arm does while alpha is high, of systems/recoveries/.
             monitored: whether `requirements` tells in each tick how well they are kept; 5 % of a run's time.
 
         Raises InputError for networks, camera and world that do not fit together.
@@ -86,7 +90,7 @@ class Rollout:
         self.calibration = calibration
         if hands:
             detector = DialledDetector(detector)
-        self.controller = make_controller(world, self.station, encoder, policy, detector)
+        self.controller = make_controller(world, self.station, encoder, policy, detector, recovery)
         builder.AddNamedSystem("switched_controller", self.controller)
         station, controller, plant, period = self.station, self.controller, self.station.plant, world.timing.period
         disturbance = self.disturbance = Disturbance(posture_size=policy.posture_size, period=period)
@@ -106,8 +110,8 @@ class Rollout:
             self.hands = Hands(builder, world, station, signals)
             signals = self.hands.signals
             builder.Connect(self.hands.gamma, controller.GetInputPort("gamma"))
+        known = signals["active"] if self.fault is None else self.fault.fault.GetOutputPort("acting")
         if controller.HasInputPort("active"):
-            known = signals["active"] if self.fault is None else self.fault.fault.GetOutputPort("acting")
             builder.Connect(known, controller.GetInputPort("active"))
         if "spatial_force" in signals:
             builder.Connect(signals["spatial_force"], station.GetInputPort("applied_spatial_force"))
@@ -116,7 +120,9 @@ class Rollout:
         if world.releases:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
         outputs = (controller.GetOutputPort(name) for name in FILTERED)
-        filtered = add_clearance_filter(builder, world, station, *outputs)
+        looks = RECOVERIES[recovery].looks
+        seen = world if looks else replace(world, clearance=replace(world.clearance, cans="unseen"))
+        filtered = add_clearance_filter(builder, seen, station, *outputs)
         command = filtered if self.hands is None else self.hands.late(builder, filtered)
         builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
@@ -136,6 +142,7 @@ class Rollout:
                 (disturbance, "ticks_since_onset"),
             )
         } | {name: (signals[name].get_system(), signals[name]) for name in ("active", "rgb_image")}  # fmt: skip
+        self._ports["acting"] = known.get_system(), known
         if self.fault is not None and self.fault.alters_posture:  # the truth, which is judged
             true = builder.AddNamedSystem("true_posture", ZeroOrderHold(period, policy.posture_size))
             builder.Connect(station.GetOutputPort("posture"), true.get_input_port())

@@ -47,7 +47,7 @@ def build_rollout(world: World, encoder: Path, controller: Controller, **shown):
     else:
         images = kept_in_thread(("encoder", encoder), lambda: Encoder(encoder))
     detector = make_detector(controller.detector, policy, controller.policy.parent)
-    return Rollout(world, images, policy, detector, **shown)
+    return Rollout(world, images, policy, detector, recovery=controller.recovery, **shown)
 
 
 def run_episode(job: Job) -> tuple[Outcome, Record]:
@@ -73,7 +73,8 @@ def prepared(job: Job):
     controller, world = job.controller, repr(job.world)
     kind = job.kind if job.episode is None else job.episode.disturbance.kind
     fault = kind if is_fault(kind) else None
-    parts = ("rollout", world, job.encoder, controller.policy, controller.detector, controller.spec, fault)
+    own = controller.detector, controller.spec, controller.recovery
+    parts = ("rollout", world, job.encoder, controller.policy, *own, fault)
     rollout = kept_in_thread(parts, lambda: build_rollout(job.world, job.encoder, controller, fault=fault), KEPT)
     episode = job.episode
     if episode is None:

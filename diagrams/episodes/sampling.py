@@ -108,7 +108,14 @@ class EpisodeSampler:
         can_xy = sampled_xy if can_xy is None else (float(can_xy[0]), float(can_xy[1]))
         vacant = sampled_vacant if vacant is None else vacant
         other_spot(vacant)  # there is one
-        self.require_reachable(can_xy)
+        try:
+            self.require_reachable(can_xy)
+        except InputError as error:
+            if can_xy == sampled_xy:  # nobody gave it
+                error.add_note(
+                    f"it is a place of world.grid ({self._world.grid}): lower its spacing, or move its corner"
+                )
+            raise
         disturbance, clear = self._disturbance(experimenter, kind, can_xy, vacant)
         if disturbance.fault is not None:
             disturbance.severity = severity

@@ -25,6 +25,7 @@ from models.errors import InputError
 
 Evaluate = Callable[[np.ndarray], np.ndarray]  # points (m, d) -> their levels (m,)
 MOST_STAGES = 100
+LEAST_KEPT = 1e-3  # share of a population
 
 
 @dataclass(frozen=True)
@@ -165,12 +166,12 @@ def stage_level(levels: np.ndarray, kept: float, target: float) -> float | None:
 
 def require_sizes(population: int, kept: float, moves: int) -> None:
     """Raises InputError for sizes that make no run."""
-    if not 0.0 < kept < 1.0:
-        raise InputError(f"--kept {kept:g} is no share of a population: choose a number between 0 and 1, such as 0.2")
-    if population * min(kept, 1.0 - kept) < 1.0:
-        least = np.ceil(1.0 / min(kept, 1.0 - kept))  # may be infinite: then only another share helps
-        remedy = f"choose {least:.10g} or more" if least < 1e9 else "choose another --kept, such as 0.2"
-        raise InputError(f"--population {population} is too small to keep a share of {kept:g}: {remedy}")
+    if not LEAST_KEPT <= kept <= 1.0 - LEAST_KEPT:
+        words = f"choose a number from {LEAST_KEPT:g} to {1.0 - LEAST_KEPT:g}, such as 0.2"
+        raise InputError(f"--kept {kept:g} is no share of a population: {words}")
+    least = int(np.ceil(1.0 / min(kept, 1.0 - kept)))
+    if population < least:
+        raise InputError(f"--population {population} is too small to keep a share of {kept:g}: choose {least} or more")
     if moves < 1:
         raise InputError(f"--moves {moves} is too small: choose 1 or more")
 

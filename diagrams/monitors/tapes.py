@@ -25,7 +25,7 @@ class TapedRun:
 
     outcome: Outcome
     tape: Tape
-    onset: int | None  # tick at whose update the disturbance began
+    onset: int | None  # tick at whose update the disturbance began, or the fault
     end: int  # first tick after it; without one, ticks of the run
 
 
@@ -33,11 +33,13 @@ def run_taped(job: Job) -> TapedRun:
     """Runs one in a worker; its controller never alarms."""
     rollout, episode, calibration = prepared(job)
     rows: dict[str, list[np.ndarray]] = {name: [] for name in WATCHED}
+    acts = list[float]()
 
     def keep(ticks: int) -> None:
         context = rollout.controller.GetMyContextFromRoot(rollout.simulator.get_context())
         for name in WATCHED:
             rows[name].append(rollout.controller.GetOutputPort(name).Eval(context).copy())
+        acts.append(float(rollout.judged("acting")[0]))
 
     outcome, record = rollout.run(episode, on_tick=keep, until=job.until, calibration=calibration)
     policy = rollout.policy
@@ -50,7 +52,7 @@ def run_taped(job: Job) -> TapedRun:
     }
     before = {name: np.array([first[name], *rows[name]])[:ticks] for name in WATCHED}
     before["recalled_postures"] = before["recalled_postures"].reshape(ticks, -1, size)
-    active = record.active > 0.5
+    active = np.array(acts) > 0.5
     tape = Tape(
         # With alpha at 0 the network is fed what was measured.
         posture=record.network_input[:, :size],

@@ -6,15 +6,16 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import Adder
 
 from diagrams.world.configuration import World
-from diagrams.world.hands_schedule import INITIAL, HandsSchedule, require_force, require_gamma, require_severity
+from diagrams.world.hands_schedule import INITIAL, HandsSchedule, require_force, require_gamma, require_share
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.station import PickPlaceStation
 from models.errors import InputError
 from systems.body_force import BodyForce
 from systems.camera_fault import FAULTS, CameraFault
-from systems.disturbance import MOVE_TICKS
+from systems.disturbance import MOVE_TICKS, DisturbanceParameters
+from systems.faults.fault import Setting
+from systems.faults.late_step import LateStep
 from systems.first_given import FirstGiven
-from systems.late_step import LateStep
 from systems.manual_disturbance import FREE, HOLD, MOVE, ManualDisturbance
 from systems.signal_schedule import SignalSchedule
 
@@ -53,8 +54,9 @@ class Hands:
         self.gamma, camera, grip, force, can = (
             self._schedules[name].get_output_port() for name in ("gamma", "camera", "grip", "force", "can")
         )
-        self._late_step = builder.AddNamedSystem("late_step", LateStep(posture_size=command.size(), period=period))
-        builder.Connect(self._schedules["late"].get_output_port(), self._late_step.GetInputPort("severity"))
+        setting = Setting(command.size(), ARM_JOINTS, period, world.camera.width, world.camera.height, {})
+        self._late_step = builder.AddNamedSystem("late_step", LateStep(setting, told=True))
+        builder.Connect(self._schedules["late"].get_output_port(), self._late_step.GetInputPort("share"))
         fault = builder.AddNamedSystem("camera_fault", CameraFault(world.camera.width, world.camera.height, period))
         builder.Connect(image, fault.GetInputPort("rgb_image"))
         builder.Connect(camera, fault.GetInputPort("fault"))
@@ -87,7 +89,7 @@ class Hands:
     def late(self, builder: DiagramBuilder, command: OutputPort) -> OutputPort:
         """What the experimenter, and the arm, get of the controller's `command`, whose step may be late."""
         builder.Connect(command, self._late_step.GetInputPort("desired_posture"))
-        return self._late_step.get_output_port()
+        return self._late_step.GetOutputPort("faulty_desired_posture")
 
     def set(self, root: Context, schedule: HandsSchedule, seed: int) -> None:
         """Puts all of `schedule` into the root's Context, and the `seed` of which steps are late.
@@ -95,7 +97,8 @@ class Hands:
         Raises InputError as the `check` of the schedule does.
         """
         schedule.check()
-        self._late_step.set_seed(self._late_step.GetMyMutableContextFromRoot(root), seed)
+        own = self._late_step.GetMyMutableContextFromRoot(root)
+        self._late_step.set_parameters(own, DisturbanceParameters(severity=0.0), seed)
         for name, rows in vars(schedule).items():
             points = [(int(tick), values) for tick, *values in rows]
             if name == "can":  # each for one tick
@@ -155,10 +158,10 @@ class Hands:
             raise InputError(f"there is no camera fault '{kind}': choose from {', '.join(FAULTS)}")
         self._change(root, "camera", tick, [FAULTS.index(kind)])
 
-    def delay(self, root: Context, tick: int, severity: float) -> None:
+    def delay(self, root: Context, tick: int, share: float) -> None:
         """So large a share of the controller's steps are late; raises InputError outside of [0, 1]."""
-        require_severity(severity)
-        self._change(root, "late", tick, [severity])
+        require_share(share)
+        self._change(root, "late", tick, [share])
 
     def set_gamma(self, root: Context, tick: int, gamma: float) -> None:
         """The detector's gamma; raises InputError outside of GAMMAS."""

@@ -65,7 +65,7 @@ class HandsSchedule:
         for row in self.gamma:
             require_gamma(row[1])
         for row in self.late:
-            require_severity(row[1])
+            require_share(row[1])
 
 
 def require_force(force: Sequence[float] | np.ndarray) -> None:
@@ -81,10 +81,10 @@ def require_gamma(gamma: float) -> None:
         raise InputError(f"gamma {gamma} is outside of {GAMMAS[0]:g} to {GAMMAS[1]:g}: choose one inside")
 
 
-def require_severity(severity: float) -> None:
+def require_share(share: float) -> None:
     """Raises InputError for a share of late steps outside of [0, 1]."""
-    if not 0.0 <= severity <= 1.0:
-        raise InputError(f"the share of late steps {severity} is no share: choose 0 to 1")
+    if not 0.0 <= share <= 1.0:
+        raise InputError(f"the share of late steps {share} is no share: choose 0 to 1")
 
 
 def _faults() -> int:

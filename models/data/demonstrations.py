@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 
 from models.errors import InputError
+from models.policy import PICTURE
 
 SPLITS = ("train", "valid")
 START_TICKS, END_TICKS = 3, 14  # of a subtask's dwells that are kept
@@ -136,10 +137,12 @@ def _demonstration(name: str, split: str, group: h5py.Group, size: int) -> Demon
     """The demonstration in its group, of postures with `size` components; raises ValueError for what makes none."""
     shapes = {key: _small(group[key]).shape for key in ("obs/posture", "actions", "obs/rgb")}
     ticks = shapes["obs/posture"][0] if shapes["obs/posture"] else 0
-    wanted = {"obs/posture": (ticks, size), "actions": (ticks, size), "obs/rgb": (ticks, *group["obs/rgb"].shape[1:])}
-    if shapes != wanted or len(shapes["obs/rgb"]) != 4 or group["obs/rgb"].dtype != np.uint8 or ticks > MOST_TICKS:
+    wanted = {"obs/posture": (ticks, size), "actions": (ticks, size), "obs/rgb": (ticks, *PICTURE)}
+    if shapes != wanted or group["obs/rgb"].dtype != np.uint8 or ticks > MOST_TICKS:
         words = ", ".join(f"{key} {shape}" for key, shape in shapes.items())
-        raise ValueError(f"{name} holds {words}: rows of one length, at most {MOST_TICKS}, are needed")
+        raise ValueError(
+            f"{name} holds {words}: rows of one length, at most {MOST_TICKS}, and pictures {PICTURE} are needed"
+        )
     posture, actions = (np.array(group[key], float) for key in ("obs/posture", "actions"))
     can_xy, starts = np.array(group.attrs["can_xy"], float), tuple(int(k) for k in group.attrs["subtask_starts"])
     for what, array in (("obs/posture", posture), ("actions", actions), ("can_xy", can_xy)):

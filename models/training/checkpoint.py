@@ -1,6 +1,7 @@
 """Checkpoints of a training: resumed by the same command, refused by another."""
 
 import io
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,9 @@ class Checkpoint:
             return 0
         require_plain(self.path, "choose another --out")
         try:
-            stored = torch.load(self.path, map_location="cpu", weights_only=True)
+            with warnings.catch_warnings():  # torch warns of what it then refuses
+                warnings.simplefilter("ignore")
+                stored = torch.load(self.path, map_location="cpu", weights_only=True)
             made_with, self.done = dict(stored["made_with"]), int(stored["done"])
         except Exception as error:  # whatever unpickling strange bytes may raise
             raise self._unusable(f"not a whole checkpoint of this program ({type(error).__name__})") from error

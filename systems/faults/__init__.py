@@ -22,6 +22,7 @@ joint_stuck             one joint's reading sticks (discrete state)
 servo_fault             what the faults of the servo share: a softer one, by the command that has its effect
 weak_servo              one joint's servo gets weak
 slack_gripper           the fingers let go
+late_step               the controller's step comes too late: the last command holds (discrete state)
 payload                 a weight at the hand
 push                    what the pushes share: a force, and a soft servo
 push_hand               a person pushes the hand

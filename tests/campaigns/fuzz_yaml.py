@@ -45,7 +45,7 @@ Tree = dict[str, Any]
 SCENARIOS: list[Tree] = [
     {"disturbance": {"kind": "none"}},
     {"disturbance": {"kind": "A", "level": 0.15, "subtask": 1, "hold_ticks": 10,
-                     "target": [0.1, 0.5, 0.0, -1.2, 0.0, 0.9, 0.0]}},
+                     "target": [0.1, 0.5, 0.0, 1.2, 0.0, 0.9, 0.0]}},
     {"disturbance": {"kind": "B", "level": 0.1, "subtask": 2, "hold_ticks": 20, "can_moved_to": [0.5, 0.0]}},
     {"disturbance": {"kind": "moved", "level": 0.1, "subtask": 1, "can_moved_to": [0.5, 0.02]}, "can": [0.5, 0.05]},
     {"seed": 3, "can": [0.52, 0.0], "vacant": "left", "disturbance": {"kind": "none"}},
@@ -55,7 +55,7 @@ SCENARIOS: list[Tree] = [
     {"disturbance": {"kind": "camera_gain", "severity": 0.5}},
     {"disturbance": {"kind": "push_hand", "level": 0.1, "subtask": 1, "hold_ticks": 10, "severity": 0.5}},
     {"disturbance": {"kind": "disturbed_return", "level": 0.15, "subtask": 1, "hold_ticks": 10, "severity": 1.0,
-                     "target": [0.1, 0.5, 0.0, -1.2, 0.0, 0.9, 0.0, 0.1, 0.6, 0.0, -1.3, 0.0, 0.9, 0.0]}},
+                     "target": [0.1, 0.5, 0.0, 1.2, 0.0, 0.9, 0.0, 0.1, 0.6, 0.0, 1.3, 0.0, 0.9, 0.0]}},
     {"disturbance": {"kind": "can_moved", "level": 0.1, "subtask": 1, "hold_ticks": 0, "can_moved_to": [0.5, 0.02],
                      "severity": 1.0}},
 ]  # fmt: skip

@@ -7,7 +7,7 @@ up. It is killed (kill -9 of all its processes), its driver alone, one of its wo
 all of them, as Ctrl-C does at a terminal; SIGTERM to the driver), at a moment drawn evenly from the time that it takes,
 and then started again. Answered well: what it leaves is what an undisturbed run leaves; what was finished on the disk
 is not done again; and for SIGINT and SIGTERM one line that says how to go on, exit code 130 or 143, and no process left
-after --patience seconds.
+after --patience seconds, in which waiting for a processor is not counted. The longest is told.
 """
 
 import functools
@@ -71,6 +71,7 @@ class Campaign:
 
     def __init__(self, arguments: Any, folder: Path):
         self.arguments, self.folder, self.given = arguments, folder, folder / "given"
+        self.seconds = dict[Case, float]()  # until all processes had ended that were told to
 
     def prepare(self) -> None:
         """Imports what the programs need, and makes their inputs."""
@@ -96,10 +97,12 @@ class Campaign:
             for name in dict.fromkeys(name for name, _, _ in missing):
                 whole, mine = self.undisturbed(name), [case for case in missing if case[0] == name]
                 for case, wrong in zip(mine, threads.map(lambda c, w=whole: one(*c, w), mine), strict=True):
-                    store.add(_key(case), {"wrong": wrong})
+                    store.add(_key(case), {"wrong": wrong, "seconds": self.seconds.get(case)})
                     bar.update()
                     if wrong:
                         tqdm.write(f"{_key(case)}: {wrong}", file=sys.stderr)
+        if ends := [seconds for case in cases if (seconds := store.rows[_key(case)].get("seconds")) is not None]:
+            print(f"told to end, all processes were gone after {max(ends):.2f} s at most")
         well = sum(store.rows[_key(case)]["wrong"] is None for case in cases)
         print(f"{well} of {len(cases)} answered well")
         return 0 if well == len(cases) else 1
@@ -124,7 +127,7 @@ class Campaign:
         moment = np.random.default_rng(seed).uniform(0.0, whole["seconds"])
         process = Forked(functools.partial(target.run, self.given, out), self._said(out), self._surroundings(out))
         until(process.poll, moment)
-        wrong = self._strike(process, how)
+        wrong = self._strike(process, name, how, number)
         kept = self._in_process(out, lambda: target.kept(out))
         if isinstance(kept, str):
             return f"what is finished cannot be read after the kill: {kept}"
@@ -144,9 +147,9 @@ class Campaign:
             shutil.rmtree(out)
         return wrong
 
-    def _strike(self, process: Forked, how: str) -> str | None:
+    def _strike(self, process: Forked, name: str, how: str, number: int) -> str | None:
         """Kills the process in the way `how`, unless it has ended; what was wrong with its end."""
-        patience = self.arguments.patience
+        patience, told = self.arguments.patience, False
         if how == "kill":
             process.kill()
         elif how == "driver" and not process.poll():
@@ -159,15 +162,14 @@ class Campaign:
             return None if process.code == 0 else f"exit code {process.code}: {process.ended().err[-600:]}"
         elif how in ENDS and not process.poll():
             (os.killpg if how == "int" else os.kill)(process.pid, ENDS[how][0])
-        ended_in_time = process.wait(patience)
-        gone = until(lambda: not process.members(), patience)
-        left = process.members()
+            told = True
+        seconds, left = process.ends_within(patience), process.members()
         process.kill()
-        if not ended_in_time:
+        if seconds is None:
             process.wait(10.0)
-            return f"it does not end within {patience} s"
-        if not gone:
             return f"{len(left)} processes are left after {patience} s"
+        if told:
+            self.seconds[name, how, number] = seconds
         return _signalled(process.ended(), ENDS[how][1]) if how in ENDS else None
 
     def _whole(self, name: str, out: Path) -> Ended:

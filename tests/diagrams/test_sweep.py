@@ -216,6 +216,14 @@ def test_a_table_is_not_overwritten_without_its_rows(tmp_path, weights):
         run(weights, tmp_path)
 
 
+@pytest.mark.parametrize("name", ["episodes.parquet", "summary.json"])
+def test_what_is_no_file_is_not_written_to(tmp_path, weights, name):
+    (tmp_path / name).symlink_to("/dev/zero")
+    (tmp_path / "rows.jsonl").touch()
+    with pytest.raises(InputError, match=rf"{name} is a pipe or a device, no plain file: choose another --out"):
+        run(weights, tmp_path)
+
+
 def test_a_missing_package_is_said_before_anything_runs(tmp_path, weights, monkeypatch):
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "scipy" else found(name))

@@ -35,6 +35,13 @@ def test_bad_input_is_one_line(capsys):
     assert capsys.readouterr().err == "error: one two\n"
 
 
+def test_a_name_that_is_no_text_is_told():
+    code = "from models.command_line import run\nrun(lambda _: open('gone/\\udcff'), lambda: None)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == b"error: gone/\\udcff: No such file or directory: choose another name\n"
+
+
 @pytest.mark.parametrize(
     ("module", "extra"), [("h5py", "train"), ("distributed.client", "sweep"), ("optuna", "analysis")]
 )

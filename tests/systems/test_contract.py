@@ -26,7 +26,6 @@ from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
 from systems.innovation_detector import InnovationDetector
 from systems.knn_detector import KnnDetector
-from systems.late_step import LateStep
 from systems.loop_closer import LoopCloser
 from systems.mahalanobis_detector import MahalanobisDetector
 from systems.manual_disturbance import ManualDisturbance
@@ -35,6 +34,8 @@ from systems.oracle_detector import OracleDetector
 from systems.posture_history import PostureHistory
 from systems.pyod_detector import PyodDetector
 from systems.recall_detector import RecallDetector
+from systems.recoveries.hold import HoldRecovery
+from systems.recoveries.retrace import RetraceRecovery
 from systems.recurrent_policy import RecurrentPolicy
 from systems.regulated_mixer import RegulatedMixer
 from systems.requirement_monitor import RequirementMonitor
@@ -141,6 +142,11 @@ CASES = {
         lambda: HomeReset(posture_size=M, initial_posture=np.zeros(3), tolerance=np.ones(3)),
         {("posture", "reset"), ("alpha", "reset")},
     ),
+    "HoldRecovery": (lambda: HoldRecovery(FakePolicy(), 3, PERIOD), {("alarm", "acting")}),
+    "RetraceRecovery": (
+        lambda: RetraceRecovery(FakePolicy(), 3, PERIOD),
+        {("alarm", "acting"), ("alarm", "memory")},
+    ),
     "FingerRelease": (
         lambda: FingerRelease(posture_size=M, joints=3, opening=[0.08], empty_below=[0.035]),
         {(i, "released_posture") for i in ("desired_posture", "reset", "finger_gaps")},
@@ -156,7 +162,6 @@ CASES = {
     ),
     "BodyForce": (lambda: BodyForce(BodyIndex(1), np.zeros(3)), {("force", "spatial_force")}),
     "CameraFault": (lambda: CameraFault(112, 112, PERIOD), {(i, "faulty_image") for i in ("rgb_image", "fault")}),
-    "LateStep": (lambda: LateStep(posture_size=M, period=PERIOD), {("desired_posture", "followed_posture")}),
     "FirstGiven": (lambda: FirstGiven(2), {("first", "given"), ("second", "given")}),
     "GammaDial": (lambda: GammaDial(3), {(i, "dialled_alpha") for i in ("errors", "alpha", "gamma")}),
     "DialledDetector": (

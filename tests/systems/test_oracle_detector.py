@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from systems.oracle_detector import HOME, OracleDetector
+from systems.oracle_detector import HOME, LONGEST, OracleDetector
 from tests.systems.controller_fakes import FakePolicy
 from tests.systems.system_checks import fix
 
@@ -37,3 +37,9 @@ def test_a_fault_at_home_is_over_with_it():
 
 def test_a_fault_that_comes_again_is_noticed_again():
     assert alphas([(1, 9), (0, 9), (1, 9), (0, 0), (0, 9), (1, 9)]) == [1, 1, 1, 1, 0, 1]
+
+
+def test_of_a_fault_that_never_ends_the_rest_is_not_told():
+    found = alphas([(1, 9)] * LONGEST + [(1, 0)] + [(1, 9)] * 4)
+    assert found == [1] * (LONGEST + 1) + [0] * 4  # one return, and at home it is over
+    assert alphas([(1, 0)] * (LONGEST + 3) + [(0, 0), (1, 9)]) == [1] * (LONGEST + 1) + [0, 0, 0, 1]

@@ -7,8 +7,8 @@ from systems.disturbance import KINDS
 _ARM = (
     "camera_gain", "camera_colour", "camera_shadow", "camera_blur", "camera_noise", "camera_occlusion",
     "camera_frozen", "camera_dropped", "camera_shift", "camera_latency", "joint_offset", "joint_noise", "joint_stuck",
-    "payload", "weak_servo", "slack_gripper", "push_hand", "push_elbow", "disturbed_return", "disturbed_resumption",
-    "disturbed_thrice",
+    "late_step", "payload", "weak_servo", "slack_gripper", "push_hand", "push_elbow", "disturbed_return",
+    "disturbed_resumption", "disturbed_thrice",
 )  # fmt: skip
 _SCENE = ("friction", "can_moved", "can_moved_far", "can_toppled", "neighbour_moved")
 

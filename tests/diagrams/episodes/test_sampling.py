@@ -46,6 +46,12 @@ def test_a_grid_without_unlearned_positions_is_named(grid):
         EpisodeSampler(World(grid=grid)).sample(0, "none")
 
 
+def test_a_grid_beyond_the_arm_is_named():
+    with pytest.raises(InputError, match="cannot reach") as refused:
+        EpisodeSampler(World(grid=Grid(spacing=0.5))).sample(0, "none")
+    assert "world.grid (Grid(corner=[0.44, -0.09], spacing=0.5, count=10)): lower" in refused.value.__notes__[0]
+
+
 def test_same_seed_same_episode(sampler, episodes):
     for kind, sampled in episodes.items():
         assert sampler.sample(3, kind) == sampled[3]

@@ -202,9 +202,9 @@ def test_kernel_is_reversible_for_the_normal_distribution():
     ("options", "named"),
     [
         ({"kept": 0.0}, "--kept 0 is no share"),
+        ({"kept": 1e-320}, "--kept 9.99989e-321 is no share .*: choose a number from 0.001 to 0.999"),
         ({"kept": 1.0}, "--kept 1 is no share"),
         ({"population": 3}, "--population 3 is too small to keep a share of 0.3: choose 4 or more"),
-        ({"kept": 1e-320}, "is too small to keep a share of [0-9e.-]+: choose another --kept"),
         ({"moves": 0}, "--moves 0 is too small"),
     ],
 )

@@ -139,6 +139,7 @@ def _attribute(name, value):
         (_without("data/demo_3/obs/rgb"), "rgb"),
         (_instead("data/demo_3/actions", lambda a: a[:-1]), r"actions \(99, 8\).*rows of one length"),
         (_instead("data/demo_3/obs/rgb", lambda a: a[:-1]), r"rgb \(99, 112, 112, 3\)"),
+        (_instead("data/demo_3/obs/rgb", lambda a: a.transpose(0, 3, 1, 2)), r"rgb \(100, 3, 112, 112\).*pictures"),
         (_instead("data/demo_3/obs/posture", lambda a: a[:, :7]), r"posture \(100, 7\)"),
         (_instead("data/demo_3/obs/posture", lambda a: a * np.nan), "posture .*finite numbers"),
         (_attribute("subtask_starts", [0, 1000]), r"subtask_starts \(0, 1000\) of 100 ticks"),

@@ -1,0 +1,167 @@
+"""The monitor bench: what is an alarm worth? Every detector on every fault, and what acts, with every recovery.
+
+    python diagrams/bench.py --detectors recall mahalanobis --faults A camera_shift --episodes 2 --out outputs/bench
+
+Each episode is run with the detector off, and all detectors are scored on that one run; each that alarms there is run
+again in closed loop, with each recovery. Started again with the same --out it runs what is missing; more detectors,
+faults, severities, training seeds and recoveries may be asked for, fewer too. diagrams/BENCH.md has the definitions.
+Exit code 0: done; 1: some episode raised an error; 2: bad input.
+"""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from diagrams.episodes.fingerprint import fingerprint
+from diagrams.episodes.pool import Pool
+from diagrams.episodes.store import RowStore
+from diagrams.monitors.bench_fit import NETWORKS, Fitted, copy_networks, gammas
+from diagrams.monitors.bench_plan import (
+    CALIBRATION_SEED,
+    FIT_SEED,
+    BenchArguments,
+    in_loop,
+    switched_off,
+    undisturbed,
+)
+from diagrams.monitors.bench_task import TAPES, BenchTask, error_row, run_bench_task
+from diagrams.sweeps.task import believed
+from diagrams.world.scenario import load_world
+from models.command_line import require, run
+from models.errors import InputError
+from models.files.container import write_bytes, write_text
+from systems.recoveries.registry import RECOVERIES
+
+ROWS = "rows.jsonl"  # in the folder --out
+# What decides a row beside what decides an episode's.
+ROOMS = ("diagrams/monitors", "models/data/runs.py", "models/networks/perceptron.py")
+
+
+def parse(arguments: list[str] | None = None) -> BenchArguments:
+    """The command line."""
+    return tyro.cli(BenchArguments, args=arguments, description=__doc__)
+
+
+class Crew:
+    """Runs tasks and keeps their rows: over one pool of this machine, or over a cluster."""
+
+    def __init__(self, arguments: BenchArguments, store: RowStore, pool: Pool):
+        self._arguments, self._store, self._pool = arguments, store, pool
+
+    def run(self, words: str, tasks: Iterable[BenchTask]) -> list[str]:
+        """Runs those of `tasks` that are missing; returns the errors of all, a line each."""
+        from tqdm import tqdm
+
+        asked, rows, folder = list(tasks), self._store.rows, self._arguments.out
+        missing = [t for t in asked if not t.done_by(rows.get(t.key)) or not self._kept(t)]
+        print(f"{words}: {len(asked)} episodes, {len(asked) - len(missing)} of them done", flush=True)
+        if missing:
+            pool, function = self._workers()
+            done = believed(pool.run(function, missing, given_up=error_row))  # type: ignore[arg-type]
+            with tqdm(total=len(missing), desc=words, unit="episode", smoothing=0.1, disable=None) as bar:
+                for task, row in done:
+                    if (tape := row.pop(TAPES, None)) is not None:
+                        write_bytes(folder / TAPES / f"{task.key}.npz", tape)
+                    self._store.add(task.key, row)
+                    bar.update()
+        if lost := sum(task.key not in rows for task in asked):
+            raise InputError(f"{lost} episodes were given up by the cluster: start again with the same --out")
+        return [f"{task.key}: {rows[task.key]['error']}" for task in asked if rows[task.key]["error"] is not None]
+
+    def _kept(self, task: BenchTask) -> bool:
+        """Whether the file that the task leaves is there."""
+        return task.stage != "fit" or (self._arguments.out / TAPES / f"{task.key}.npz").is_file()
+
+    def _workers(self) -> tuple[Any, Callable[[BenchTask], dict]]:
+        """See Pool; a cluster is given the files that there are now."""
+        networks = self._arguments.out / NETWORKS
+        if self._arguments.scheduler is None:
+            return self._pool, partial(run_bench_task, networks)
+        from diagrams.sweeps.cluster import DaskPool
+
+        files = {path.name: path.read_bytes() for path in sorted(networks.iterdir()) if path.is_file()}
+        cluster = DaskPool(self._arguments.scheduler, files)
+        return cluster, cluster.with_files(run_bench_task)
+
+
+def main(arguments: BenchArguments) -> int:
+    """Runs what is missing, writes bench.parquet and summary.json, prints the table; returns the exit code."""
+    require("pandas", "pyarrow", "scipy", "sklearn", *(["distributed"] if arguments.scheduler else []))
+    arguments.check()
+    world, out = load_world(arguments.world), arguments.out
+    made_with = {name: getattr(arguments, name) for name in ("rnn", "fit_runs", "calibration_runs", "delta")}
+    made_with |= {"fit_seed": FIT_SEED, "calibration_seed": CALIBRATION_SEED}
+    with RowStore(out / ROWS, fingerprint(world, *ROOMS, **made_with)) as store, Pool(arguments.workers) as pool:
+        crew, promises = Crew(arguments, store, pool), dict[str, Any]()
+        networks, off, errors = copy_networks(arguments, world), list[BenchTask](), list[str]()
+        for network in networks:
+            tasks = undisturbed(arguments, world, network, "fit")
+            _require_none(crew.run(f"{network.path.stem}, runs of the fit", tasks))
+            fitted = Fitted(network, arguments.specs, {n: made_with[n] for n in ("fit_runs", "fit_seed")})
+            fitted.fit([out / TAPES / f"{task.key}.npz" for task in tasks if store.rows[task.key]["success"]])
+            tasks = undisturbed(arguments, world, network, "calibration", fitted.scored())
+            _require_none(crew.run(f"{network.path.stem}, runs of the calibration", tasks))
+            found = gammas(arguments.specs, [store.rows[task.key] for task in tasks], arguments.delta)
+            promises[network.path.stem] = {
+                label: {"gamma": c.gamma, "average": c.average, "share": c.share, "mean_errors": fitted.means[label]}
+                for label, c in found.items()
+            }
+            off += switched_off(arguments, world, network, fitted.scored({n: c.gamma for n, c in found.items()}))
+        errors += crew.run("detectors off", off)
+        loops = [task for episode in off for task in in_loop(arguments, episode, store.rows[episode.key])]
+        errors += crew.run("detectors in the loop", loops)
+        return finish(arguments, world.timing.period, off, loops, store.rows, promises, errors)
+
+
+def _require_none(errors: list[str]) -> None:
+    """Raises InputError for an undisturbed run with an error: what comes after would be of too few."""
+    if errors:
+        raise InputError(f"{len(errors)} undisturbed runs raised an error ({errors[0]}): mend that, then start again")
+
+
+def finish(
+    arguments: BenchArguments,
+    period: float,
+    off: list[BenchTask],
+    loops: list[BenchTask],
+    rows: dict[str, dict[str, Any]],
+    promises: dict[str, Any],
+    errors: list[str],
+) -> int:
+    """Writes and prints what the rows say; returns the exit code."""
+    from diagrams.monitors.bench_table import cells, half_noticed, pooled, records, text, worth, write_table
+
+    recoveries = list({RECOVERIES.label(spec): spec for spec in arguments.recoveries}.values())
+    found = records(off, loops, rows, recoveries, period)
+    if not found:
+        raise InputError("no episode of them counts: each was void, or raised an error; ask for other --faults")
+    path, summary_path = write_table(arguments.out, found), arguments.out / "summary.json"
+    given = {name: str(v) if isinstance(v, Path) else v for name, v in dataclasses.asdict(arguments).items()}
+    for name in ("out", "workers", "scheduler"):  # which say nothing of what was found
+        del given[name]
+    summary = {
+        "arguments": given,
+        "cells": cells(found),
+        "pooled": pooled(found),
+        "labels": worth(found),
+        "half_noticed": half_noticed(found),
+        "gammas": promises,
+        "void": sum(bool(rows[task.key].get("void")) for task in off),
+        "errors": len(errors),
+    }
+    write_text(summary_path, json.dumps(summary, indent=1) + "\n")
+    print(text(summary))
+    for error in errors:
+        print(error, file=sys.stderr)
+    print(f"written: {path}, {summary_path}")
+    return 1 if errors else 0
+
+
+if __name__ == "__main__":
+    run(main, parse)

@@ -1,0 +1,219 @@
+"""What the rows of the bench say: a record an episode, detector and recovery; cells of these; tables of the cells."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diagrams.monitors.bench_plan import NONE, ORACLE
+from diagrams.monitors.bench_task import BenchTask
+from diagrams.monitors.metrics import Monitored, contingency, labels, measured, severity_noticed_by_half
+from diagrams.monitors.scoring import largest_before
+from diagrams.world.faults.registry import kind_label
+from models.files.container import whole_file
+from systems.recoveries.registry import RECOVERIES
+
+TABLE = "bench.parquet"
+# Of a cell, in this order. Those of NOTICED are of the cell's episodes and the undisturbed ones of the same scenes,
+# without which nothing would be there that no alarm is needed in; the others of its episodes alone.
+FIELDS = (
+    "tasks", "tpr", "tnr", "balanced_accuracy", "auroc", "auprc", "twa", "detection_s", "false_alarms_per_hour",
+    "seconds_lost", "net_benefit", "gap_closed",
+)  # fmt: skip
+NOTICED = ("tpr", "tnr", "balanced_accuracy", "auroc", "auprc", "twa", "false_alarms_per_hour")
+
+CELL = ("detector", "fault", "severity", "recovery")
+Record = dict[str, Any]  # see `records`
+Rows = Mapping[str, dict[str, Any]]
+
+
+def records(
+    off: Sequence[BenchTask], loops: Sequence[BenchTask], rows: Rows, recoveries: Sequence[str], period: float
+) -> list[Record]:
+    """One for each detector, recovery and episode with the detector off; not of void ones, nor of those with an error.
+
+    An episode in which a detector does not alarm is that with the detector off. `period`: of the ticks, s.
+    """
+    acted = {(t.rnn, t.training_seed, t.kind, t.severity, t.seed, t.detectors[0].label, t.recovery): t for t in loops}
+    found = []
+    for task in off:
+        row = rows[task.key]
+        if row["error"] is not None or row["void"]:
+            continue
+        episode = task.rnn, task.training_seed, task.kind, task.severity, task.seed
+        never = bool(row["success"])
+
+        def done(label: str, recovery: str, episode=episode, never=never) -> tuple[bool, float] | None:
+            """Success and seconds in the loop; None: it raised an error there."""
+            loop = acted.get((*episode, label, recovery))
+            if loop is None:
+                return never, 0.0
+            ran = rows[loop.key]
+            return None if ran["error"] is not None else (bool(ran["success"]), ran["sim_seconds"])
+
+        for recovery in recoveries:
+            oracle = done(ORACLE, recovery)
+            for scored in task.detectors:
+                own = done(scored.label, recovery)
+                if own is None or oracle is None:
+                    continue
+                said, onset = row["detectors"][scored.label], row["onset"]
+                acts = (*episode, scored.label, recovery) in acted
+                needless = acts and never and own[0]
+                found.append(
+                    {
+                        "detector": scored.label,
+                        "fault": kind_label(task.kind),
+                        "severity": task.severity,
+                        "recovery": RECOVERIES.label(recovery),
+                        "rnn": task.rnn,
+                        "training_seed": task.training_seed,
+                        "seed": task.seed,
+                        "onset_s": None if onset is None else onset * period,
+                        "alarm_s": None if said["alarm"] is None else said["alarm"] * period,
+                        "false_alarms": said["false_alarms"],
+                        "normal_s": (row["ticks"] if onset is None else onset) * period,
+                        "ticks": row["ticks"],
+                        "length_s": row["ticks"] * period,
+                        "needed": not never,
+                        "success": own[0],
+                        "oracle_success": oracle[0],
+                        "lost_s": max(own[1] - row["ticks"] * period, 0.0) if needless else 0.0,
+                        "peaks": said["peaks"],
+                        "weights_hash": task.weights_hash,
+                    }
+                )
+    for record, label in zip(found, labels(monitored(found)).tolist() if found else (), strict=True):
+        record["label"] = label
+    return found
+
+
+def monitored(found: Sequence[Record]) -> Monitored:
+    """The arrays that the metrics are of; the scores cut at the shortest of these runs."""
+    shortest = min((record["ticks"] for record in found), default=0)
+
+    def column(name: str, kind: type) -> np.ndarray:
+        return np.array([np.nan if record[name] is None else record[name] for record in found], kind)
+
+    return Monitored(
+        scene=column("seed", int), training_seed=column("training_seed", int),
+        score=np.array([largest_before(record["peaks"], shortest) for record in found]),
+        onset=column("onset_s", float), alarm=column("alarm_s", float), false_alarms=column("false_alarms", int),
+        normal_time=column("normal_s", float), length=column("length_s", float), needed=column("needed", bool),
+        success=column("success", bool), oracle_success=column("oracle_success", bool), lost=column("lost_s", float),
+    )  # fmt: skip
+
+
+def cells(found: Sequence[Record]) -> list[Record]:
+    """One for each detector, fault, severity and recovery, in the order of the records: FIELDS, see `measured`."""
+    return [_cell(own, base) for own, base in _groups(found, CELL, found)]
+
+
+def pooled(found: Sequence[Record]) -> list[Record]:
+    """The same of all faults and severities together, one for each detector and recovery."""
+    return [
+        _cell(own, base) | {"fault": "pooled", "severity": None}
+        for own, base in _groups([r for r in found if r["fault"] != NONE], ("detector", "recovery"), found)
+    ]
+
+
+def _groups(
+    found: Sequence[Record], names: tuple[str, ...], everything: Sequence[Record] = ()
+) -> Iterator[tuple[list[Record], list[Record]]]:
+    """Records alike in `names`; and the undisturbed ones of their detector and recovery, where `everything` is given.
+
+    Those are no others than they where they are undisturbed themselves.
+    """
+    groups: dict[tuple, list[Record]] = {}
+    for record in found:
+        groups.setdefault(tuple(record[name] for name in names), []).append(record)
+    for own in groups.values():
+        same = own[0]["detector"], own[0]["recovery"]
+        undisturbed = [r for r in everything if r["fault"] == NONE and (r["detector"], r["recovery"]) == same]
+        yield own, undisturbed if own[0]["fault"] != NONE else []
+
+
+def _cell(own: list[Record], base: list[Record]) -> dict[str, Any]:
+    alone, together = measured(monitored(own)), measured(monitored([*own, *base]))
+    labelled = {name: own[0][name] for name in CELL} | {"n": len(own)}
+    return labelled | {name: (together if name in NOTICED else alone)[name] for name in FIELDS}
+
+
+def worth(found: Sequence[Record]) -> list[Record]:
+    """How often each label of an alarm, or of a silence, and by whether there was a fault, and what came of it."""
+    return [
+        {name: own[0][name] for name in CELL} | {"labels": contingency(monitored(own))}
+        for own, _ in _groups(found, CELL)
+    ]
+
+
+def half_noticed(found: Sequence[Record]) -> list[Record]:
+    """The severity at which half is noticed, of each detector and fault with several severities."""
+    first = [record for record in found if record["recovery"] == found[0]["recovery"]]  # it is of the runs without
+    entries = []
+    for own, _ in _groups([record for record in first if record["severity"] is not None], ("detector", "fault")):
+        severity = np.array([record["severity"] for record in own])
+        if len(np.unique(severity)) > 1:
+            runs = monitored(own)
+            value = severity_noticed_by_half(severity, runs.noticed, runs.scene)
+            entries.append({"detector": own[0]["detector"], "fault": own[0]["fault"], "severity": value})
+    return entries
+
+
+def write_table(folder: Path, found: Sequence[Record]) -> Path:
+    """Writes the records, but for their peaks, as a table in `folder`; returns its name."""
+    import pandas as pd
+
+    path = folder / TABLE
+    rows = [{name: value for name, value in record.items() if name != "peaks"} for record in found]
+    with whole_file(path) as partial:
+        pd.DataFrame(rows).to_parquet(partial, index=False)
+    return path
+
+
+COLUMNS = {
+    "tasks": "tasks", "tpr": "TPR", "tnr": "TNR", "balanced_accuracy": "bal.acc", "auroc": "AUROC", "auprc": "AUPRC",
+    "twa": "TWA", "detection_s": "seen s", "false_alarms_per_hour": "false/h", "seconds_lost": "lost s",
+    "net_benefit": "net", "gap_closed": "gap",
+}  # fmt: skip
+
+
+def text(summary: Mapping[str, Any]) -> str:
+    """The pooled faults, a line a detector and recovery; the tasks done, detectors by recoveries; and by fault."""
+    cells, everything = summary["cells"], summary["pooled"]
+    recoveries = list(dict.fromkeys(cell["recovery"] for cell in everything))
+    detectors = list(dict.fromkeys(cell["detector"] for cell in everything or cells))
+    width = max(map(len, detectors)) + 2
+    lines = [f"{'all faults':{width}s}{'recovery':10s}{'n':>6s}" + "".join(f"{w:>9s}" for w in COLUMNS.values())]
+    for cell in everything:
+        values = "".join(f"{'-' if cell[name] is None else _number(cell[name]['value']):>9s}" for name in COLUMNS)
+        lines.append(f"{cell['detector']:{width}s}{cell['recovery']:10s}{cell['n']:6d}{values}")
+    tasks = {(cell["detector"], cell["recovery"]): _with_interval(cell["tasks"]) for cell in everything}
+    lines += ["", f"{'tasks done':{width}s}" + "".join(f"{name:>21s}" for name in recoveries)]
+    for detector in detectors:
+        lines.append(f"{detector:{width}s}" + "".join(f"{tasks[detector, name]:>21s}" for name in recoveries))
+    first = recoveries[0]
+    done = {(c["fault"], c["severity"], c["detector"]): c["tasks"]["value"] for c in cells if c["recovery"] == first}
+    lines += ["", f"{'tasks done, ' + first:24s}" + "".join(f"{_short(name):>9s}" for name in detectors)]
+    for fault, severity in dict.fromkeys(key[:2] for key in done):
+        name = fault if severity is None else f"{fault} {severity:g}"
+        shares = (done.get((fault, severity, detector)) for detector in detectors)
+        lines.append(f"{name:24s}" + "".join(f"{'-' if s is None else _number(s):>9s}" for s in shares))
+    lines += ["", "All with 95 % intervals over scenes, fault by fault: summary.json."]
+    return "\n".join(lines)
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 8 else name[:7] + "."
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if abs(value) < 100.0 else f"{value:.0f}"
+
+
+def _with_interval(entry: dict[str, Any] | None) -> str:
+    if entry is None:
+        return "-"
+    low, high = map(_number, entry["interval"])
+    return f"{_number(entry['value'])} [{low}, {high}]"

@@ -1,0 +1,155 @@
+"""What a worker of the bench does: one episode in, one row out, whatever happens in it."""
+
+import dataclasses
+import io
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from diagrams.episodes.calibration import Calibration, Controller, make_detector, never_fires, policy_name
+from diagrams.episodes.fingerprint import code_hash
+from diagrams.episodes.pool import kept_in_thread
+from diagrams.episodes.runner import Job, run_episode
+from diagrams.monitors.scoring import Score
+from diagrams.monitors.tapes import TapedRun, replay, run_taped
+from diagrams.world.configuration import World
+from diagrams.world.faults.registry import kind_label
+from diagrams.world.names import ENCODER
+from models.data.runs import Tape
+from models.errors import InputError
+from models.inference import Policy
+from systems.detectors import DETECTORS
+from systems.recoveries.registry import RECOVERIES, SHIPPED
+
+# fit: its tape is kept; calibration, off: the detectors are scored on it; loop: one of them acts.
+Stage = Literal["fit", "calibration", "off", "loop"]
+TAPES = "tapes"  # entry of a row that is no part of it: the content of a file in this folder of --out
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A detector that is scored, or acts; `calibration`: its gamma is not read before it is known."""
+
+    spec: str  # see systems/detectors.py
+    calibration: Calibration
+    hash: str  # of what it learned and its calibration
+
+    @property
+    def label(self) -> str:
+        """Its short name."""
+        return DETECTORS.label(self.spec)
+
+
+@dataclass(frozen=True)
+class BenchTask:
+    """One episode of the bench."""
+
+    stage: Stage
+    world: World
+    rnn: str  # short name
+    training_seed: int
+    kind: str  # of disturbance or fault
+    severity: float | None  # of a fault
+    seed: int
+    weights_hash: str  # of the policy's file
+    detectors: tuple[Scored, ...] = ()  # of the loop: the one that acts
+    recovery: str = SHIPPED
+    code: str = dataclasses.field(default_factory=code_hash)  # that the bench was started with
+
+    @property
+    def key(self) -> str:
+        """Says which episode it is; a file name without suffix."""
+        severity = "" if self.severity is None else f"-{self.severity!r}"
+        acts = f"-{self.detectors[0].label}-{RECOVERIES.label(self.recovery)}" if self.stage == "loop" else ""
+        return f"{self.stage}-{self.rnn}-{self.training_seed}-{kind_label(self.kind)}{severity}-{self.seed}{acts}"
+
+    def done_by(self, row: dict[str, Any] | None) -> bool:
+        """Whether `row`, of this key, is what it gives: without an error, of these detectors.
+
+        Raises InputError for one of other weights.
+        """
+        if row is None or row["error"] is not None:
+            return False
+        if row["weights_hash"] != self.weights_hash:
+            raise InputError("it holds episodes of other weights than there are now: choose another --out")
+        return all(row["detectors"].get(scored.label, {}).get("hash") == scored.hash for scored in self.detectors)
+
+
+def run_bench_task(folder: Path, task: BenchTask) -> dict[str, Any]:
+    """Runs the episode with the files in `folder`; its row, with `error` and `traceback` set if it raised."""
+    try:
+        if task.code != code_hash():
+            raise InputError(f"this worker has another version of the program ({code_hash()}, the bench {task.code})")
+        path = folder / policy_name(task.rnn, task.training_seed)
+        acting = task.detectors[0] if task.stage == "loop" else None
+        spec, calibration = (acting.spec, acting.calibration) if acting else ("never", never_fires(1))
+        controller = Controller(path, spec, calibration, recovery=task.recovery)
+        severity = 1.0 if task.severity is None else task.severity
+        job = Job(task.world, folder / ENCODER, controller, task.seed, task.kind, severity)
+        if acting is not None:
+            outcome, _ = run_episode(job)
+            more: dict[str, Any] = {"detectors": {acting.label: {"hash": acting.hash}}}
+        else:
+            run = run_taped(job)
+            outcome = run.outcome
+            more = {"onset": run.onset, "ticks": len(run.tape.posture), "detectors": _scores(path, task, run)}
+            if task.stage == "fit":
+                more[TAPES] = tape_bytes(run.tape)
+        if outcome.weights_hash != task.weights_hash:
+            raise InputError(f"{path} was changed under the bench: put it back")
+        names = ("success", "void", "failure", "sim_seconds", "weights_hash")
+        return {name: getattr(outcome, name) for name in names} | more | {"error": None, "traceback": None}
+    except (Exception, SystemExit) as error:  # Drake calls exit for some of its errors
+        return error_row(task, error)
+
+
+def error_row(task: BenchTask, error: BaseException) -> dict[str, Any]:
+    """The row of an episode that raised; it counts nowhere, and is run again at the next start."""
+    words = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return {"error": words, "traceback": "".join(traceback.format_exception(error)), "weights_hash": task.weights_hash}
+
+
+def _scores(path: Path, task: BenchTask, run: TapedRun) -> dict[str, dict[str, Any]]:
+    """Of each detector of the task, on the run's tape, by its label; plain types."""
+    policy: Policy = kept_in_thread(("bench_policy", path, task.weights_hash), lambda: Policy(path))
+    found = {}
+    for scored in task.detectors:
+        ratio = ratios(scored, policy, path.parent, run.tape)
+        found[scored.label] = {"hash": scored.hash} | vars(Score.of(ratio, scored.calibration.gamma, run.onset))
+    return found
+
+
+def ratios(scored: Scored, policy: Policy, folder: Path, tape: Tape) -> np.ndarray:
+    """(T,) the largest error of each tick by its mean, of a detector whose file, if it has one, is in `folder`."""
+    detector = kept_in_thread(
+        ("bench_detector", folder, scored.spec, policy.hash, scored.hash),
+        lambda: make_detector(scored.spec, policy, folder),
+        most=32,
+    )
+    errors = replay(detector, tape, policy.scaling.scale(np.asarray(policy.initial_posture, float)))
+    found = (errors / np.array(scored.calibration.mean_errors)).max(axis=1)
+    if not np.isfinite(found).all():
+        raise InputError(f"the detector '{scored.label}' has errors that are no finite numbers: mend it")
+    return found
+
+
+def tape_bytes(tape: Tape) -> bytes:
+    """The content of its file (.npz); single precision where that loses nothing."""
+    file, arrays = io.BytesIO(), vars(tape)
+    single = {name: array.astype(np.float32) for name, array in arrays.items()}
+    exact = {n: single[n] if np.array_equal(single[n], array) else array for n, array in arrays.items()}
+    np.savez_compressed(file, **exact)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+def load_tape(path: Path) -> Tape:
+    """From what `tape_bytes` gave; raises InputError where there is none, or a damaged one."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return Tape(**{field.name: file[field.name].astype(float) for field in dataclasses.fields(Tape)})
+    except Exception as error:  # numpy and zip raise a dozen types
+        words = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"{path} is no whole tape ({words}): delete it, the same command makes it again") from error
