@@ -74,7 +74,7 @@ class Rollout:
             hands: with a person's hands (`self.hands`, see world/hands.py) between the parts.
             fault: with the system of this fault (`self.fault`, see world/faults/) between the parts.
             recovery: what the arm does while alpha is high, of systems/recoveries/.
-            monitored: whether `requirements` tells in each tick how well they are kept; 5 % of a run's time.
+            monitored: whether `requirements` tells in each tick how well they are kept; 1 to 5 % of a run's time.
 
         Raises InputError for networks, camera and world that do not fit together.
         """

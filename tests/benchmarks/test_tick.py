@@ -107,6 +107,19 @@ def test_ninety_nine_in_a_hundred_ticks_are_soon_done(loop, world, measure, hold
     hold("99 % of the ticks, ms", 1e3 * np.quantile(ticks, 0.99), at_most=50.0)
 
 
+def test_what_the_monitor_of_the_requirements_costs(loop, world, measure, in_turns, hold):
+    (rollout, calibration), episode = loop, EpisodeSampler(world).sample(0, "A")
+    monitored = build_rollout(world, WEIGHTS / ENCODER, Controller(policy_file(WEIGHTS, "lstm")), monitored=True)
+
+    def seconds(of):
+        timer = TickTimer()
+        of.run(episode, on_tick=timer, time_limit=TIME_LIMIT if measure else 1.0, calibration=calibration)
+        return np.mean(timer.times)
+
+    (ratio,) = in_turns(lambda: seconds(monitored), lambda: seconds(rollout))
+    hold("closed loop with the monitor over without", ratio, at_most=1.1)
+
+
 def test_a_camera_that_is_not_read_costs_the_physics_nothing(world, in_turns, hold):
     """A renderer in the plant's own scene graph would double the time of every step."""
     episode, path = Episode(0, (0.53, 0.0), "left"), np.tile(world.initial_posture, (100, 1))
