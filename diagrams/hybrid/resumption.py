@@ -1,9 +1,9 @@
 """The region of resumption: from which states the loop closes again within 6 s, and the subtask is done.
 
 Starts are sampled in the whole system (resumption_starts.py), under both rules by which the network comes back at home:
-it starts anew, or has imagined its way to the end. V (resumption_time.py) says of each start, from the network alone,
+it starts anew, or has imagined its way to the end. T (resumption_time.py) says of each start, from the network alone,
 when it resumes; its largest level from which all starts have resumed in the whole system is the region. Disturbed runs
-of their own test it: V where each arm came home says which of them will not resume in time.
+of their own test it: T where each arm came home says which of them will not resume in time.
 """
 
 from collections import Counter
@@ -44,7 +44,7 @@ class Resume(NetworkArguments):
     starts: int = 3000  # of each kind, under the world's rule
     compared: int = 300  # of these, which are run under the other rule too
     runs: int = 200  # disturbed ones, half of them A
-    workers: int = 2
+    workers: int = 2  # processes; 0: this one
 
     NAME: ClassVar[str] = "resume"
     RANGES: ClassVar[dict[str, Range]] = {
@@ -75,6 +75,7 @@ class Resume(NetworkArguments):
                 "fingerprint": fingerprint_with_analyses(world), "policy": policy.hash, "encoder_hash": encoder.hash,
                 "rule": world.resumption, "scenes": scenes, "rules": rules,
                 "by_scene": {rule: by_scene([row for row in rows if row.rule == rule], period) for rule in rules},
+                "finished_by_scene": finished_by_scene(rows),
                 "worst_ticks": worst, "runs": judge_runs(runs, period),
             }  # fmt: skip
             self.write(found)
@@ -100,7 +101,7 @@ class Resume(NetworkArguments):
                 for given, found in pool.run(run_scene, missing):
                     store.add(given.key, [asdict(row) for row in found])
                     bar.update(min(sum(row.rule == own for row in found), bar.total - bar.n))
-                done.extend([Row(**row) for row in store.rows[given.key]] for given in jobs)
+                done.extend(store.read(given.key, lambda rows: [Row(**row) for row in rows]) for given in jobs)
                 bar.n = sum(
                     min(count, self.starts) for count in counts(done, own)
                 )  # what is too much of a kind is left out
@@ -146,7 +147,7 @@ class Resume(NetworkArguments):
             for given, found in pool.run(run_disturbed, missing):
                 store.add(f"run {given.seed}", asdict(found))
                 bar.update()
-        return [RunRow(**store.rows[f"run {given.seed}"]) for given in jobs]
+        return [store.read(f"run {given.seed}", lambda row: RunRow(**row)) for given in jobs]
 
 
 def counts(scenes: list[list["Row"]], rule: str) -> list[int]:
@@ -177,7 +178,7 @@ class Row:
     rule: str  # of RESUMPTIONS
     kind: str  # of KINDS
     left: int  # ticks of its subtask that the network had still to imagine
-    foretold: int | None  # V; None: more than the ticks that are followed
+    foretold: int | None  # T; None: more than the ticks that are followed
     resumed: int | None  # ticks; None: as above
     done: bool | None  # the subtask; None: not looked at, or not resumed
 
@@ -187,7 +188,7 @@ class RunRow:
     """What came of a disturbed run."""
 
     came_home: bool  # as the switching asks for
-    foretold: int | None = None  # V at the first tick at home
+    foretold: int | None = None  # T at the first tick at home
     resumed: int | None = None  # ticks from there
 
     @classmethod
@@ -229,7 +230,7 @@ def run_scene(given: SceneJob) -> list[Row]:
 
 
 def run_disturbed(job: Job) -> RunRow:
-    """In a worker: a disturbed run, and V of where its arm came home."""
+    """In a worker: a disturbed run, and T of where its arm came home."""
     from models.inference import Policy
 
     outcome, record = run_episode(job)
@@ -251,7 +252,7 @@ def run_disturbed(job: Job) -> RunRow:
 
 
 def worst_ticks(policy, world: World) -> int | None:
-    """V of a network that starts anew where every joint is as far off as can be at home: none at home takes longer.
+    """T of a network that starts anew where every joint is as far off as can be at home: none at home takes longer.
 
     The recall's errors are sums of squares of the joints' deviations. None: more than the ticks that are followed.
     """
@@ -314,6 +315,13 @@ def by_scene(rows: Sequence[Row], period: float) -> dict[str, Any]:
     return {"samples": n, "failures": lost, "bound": bound(lost, n)}
 
 
+def finished_by_scene(rows: Sequence[Row]) -> dict[str, Any] | None:
+    """Scenes with a subtask that was looked at, and how many have one that is not done; plain types, None of none."""
+    seen = {row.scene for row in rows if row.done is not None}
+    lost = {row.scene for row in rows if row.done is False}
+    return {"samples": len(seen), "failures": len(lost), "bound": bound(len(lost), len(seen))} if seen else None
+
+
 def judge_runs(rows: Sequence[RunRow], period: float) -> dict[str, Any]:
     """The report of the disturbed runs, plain types; `period`: of the ticks, s."""
     limit, home = round(RESUME_SECONDS / period), [row for row in rows if row.came_home]
@@ -337,7 +345,7 @@ def _words(rule: str, kind: str, found: dict[str, Any]) -> str:
     text = (
         f"{rule}, {kind}: {found['not_resumed']} of {found['samples']} starts do not resume within "
         f"{RESUME_SECONDS:g} s (95 % bound {found['bound']:.1e}), {found['foretold']} were foretold, "
-        f"{found['foretold_wrongly']} wrongly; all {found['inside']} with V up to {found['level_ticks']} ticks resume"
+        f"{found['foretold_wrongly']} wrongly; all {found['inside']} with T up to {found['level_ticks']} ticks resume"
     )
     if time is not None:
         text += f"; after {time['median']:.1f} s (median), {time['max']:.1f} s at most"

@@ -48,6 +48,7 @@ RESUMED = {
     "policy": "ours",
     "encoder_hash": "eyes",
     "by_scene": {"reset": {"samples": 200, "failures": 0}, "imagined": {"samples": 200, "failures": 90}},
+    "finished_by_scene": {"samples": 30, "failures": 1},
     "rule": "reset",
     "rules": {
         "reset": {"pick": entry(1500, 0, 30, 0), "place": entry(1500, 0, 30, 1)},
