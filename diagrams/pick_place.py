@@ -26,7 +26,7 @@ from diagrams.world.scenario import Scenario, load_scenario, load_world
 from models.checks import require_apart, require_one_of
 from models.command_line import require, require_writable, run
 from models.errors import InputError
-from models.files.container import partial_of, write_text
+from models.files.container import partial_of, remove_left_parts, write_text
 
 
 @dataclass
@@ -77,6 +77,8 @@ def main(cli: PickPlaceArguments) -> int:
     """Runs the episode that `cli` asks for; returns the exit code."""
     video = None if cli.video is None else partial_of(cli.video)
     try:
+        if cli.video is not None:
+            remove_left_parts(cli.video)
         return _run(cli, video)
     finally:
         if video is not None:
