@@ -3,7 +3,7 @@
     python diagrams/sweep.py --episodes 40 --rnn lstm gru --disturbance none A B --out outputs/sweep
 
 Started again with the same --out it runs what is missing.
-Exit code 0: done; 1: some episode raised an error; 2: bad input.
+Exit code 0: done; 1: some episode raised an error; 2: bad input, or workers that died.
 """
 
 import dataclasses
