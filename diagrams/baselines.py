@@ -204,6 +204,9 @@ def _check(arguments: BaselinesArguments) -> None:
         )
     if len({path.parent.resolve() for path in arguments.policies}) != 1:
         raise InputError("the policies lie in several folders: put them into one, where the detectors' files will be")
+    for path in arguments.policies:
+        if not path.is_file():
+            raise InputError(f"--policies {path} is no file: give the file of a network")
 
 
 def _begun(file: Path, spec: str, notes: dict[str, Any]):

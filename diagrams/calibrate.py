@@ -94,7 +94,7 @@ class CalibrateArguments:
             episode_seeds("validation", seed, count)  # there are some
         if self.seed == self.calibration_seed:
             raise InputError(
-                f"--seed and --calibration-seed are both {self.seed}: nothing may be selected on the other's"
+                f"--seed and --calibration-seed are both {self.seed}: choose two, selection may not see the other's"
             )
 
 

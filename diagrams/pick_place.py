@@ -22,11 +22,11 @@ import tyro
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ENCODER, WEIGHTS
-from diagrams.world.scenario import Scenario, load_scenario, load_world
+from diagrams.world.scenario import Scenario, load_scenario, load_world, naming_file
 from models.checks import require_apart, require_one_of
 from models.command_line import require, require_writable, run
 from models.errors import InputError
-from models.files.container import partial_of, write_text
+from models.files.container import partial_of, remove_left_parts, write_text
 
 
 @dataclass
@@ -77,6 +77,8 @@ def main(cli: PickPlaceArguments) -> int:
     """Runs the episode that `cli` asks for; returns the exit code."""
     video = None if cli.video is None else partial_of(cli.video)
     try:
+        if cli.video is not None:
+            remove_left_parts(cli.video)
         return _run(cli, video)
     finally:
         if video is not None:
@@ -85,7 +87,8 @@ def main(cli: PickPlaceArguments) -> int:
 
 def _run(cli: PickPlaceArguments, video: Path | None) -> int:
     """As `main`; the frames go to the file `video`, until it is whole."""
-    cli.check()
+    with naming_file(cli.scenario):
+        cli.check()
     if not 0.0 <= cli.realtime_rate < math.inf:
         raise InputError(
             f"the real-time rate {cli.realtime_rate} is negative or not finite: choose 0 (as fast as possible) or more"
@@ -119,7 +122,8 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
             raise InputError(f"{option} {path} has no format that can be written: choose a name that ends in {names}")
     if cli.mcap is not None:
         require("foxglove")
-    episode = EpisodeSampler(cli.world).episode(cli)
+    with naming_file(cli.scenario):
+        episode = EpisodeSampler(cli.world).episode(cli)
     controller = controller_of(cli.weights, cli.rnn, cli.detector, cli.policy)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))

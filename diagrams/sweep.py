@@ -3,7 +3,7 @@
     python diagrams/sweep.py --episodes 40 --rnn lstm gru --disturbance none A B --out outputs/sweep
 
 Started again with the same --out it runs what is missing.
-Exit code 0: done; 1: some episode raised an error; 2: bad input.
+Exit code 0: done; 1: some episode raised an error; 2: bad input, or workers that died.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
 from diagrams.sweeps.plan import SweepArguments, plan
 from diagrams.sweeps.sequential import decided, rounds
-from diagrams.sweeps.task import FILES, HASHES, Task, believed, error_row, run_task
+from diagrams.sweeps.task import FILES, HASHES, Task, believed, died, error_row, run_task
 from diagrams.world.scenario import load_world
 from models.checks import require_one_of, require_plain
 from models.command_line import require, run
@@ -80,6 +80,8 @@ def main(arguments: SweepArguments) -> int:
                 f"{out} holds {len(more)} episodes that are not asked for, such as {min(more)}, and its table and "
                 "summary would lose them: ask for them too, or choose another --out"
             )
+        for key in [key for key, row in rows.items() if died(row)]:
+            del rows[key]  # of an older program
         again = {task.key for task in tasks if task.key in rows and _again(arguments, task, rows[task.key])}
         missing = [task for task in tasks if task.key not in rows or task.key in again]
         if missing:

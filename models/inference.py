@@ -16,6 +16,8 @@ from models.files.policies import PolicyFacts, read_policy
 from models.policy import Policy as OwnPolicy
 from models.policy import make_policy
 
+onnxruntime.set_default_logger_severity(4)  # what is wrong is raised; its allocator has no session's options
+CALIBRATE = "Calibrate it again with diagrams/calibrate.py"
 LARGEST_SIZE = 100_000  # of what goes into a graph or comes out
 BATCH = 64  # pictures that are encoded at once
 IMAGE_SIZE = 112  # width and height of a picture, pixels
@@ -126,7 +128,7 @@ class Policy(PolicyFacts):
     """Recurrent network and recall heads of a policy file; everything scaled but initial_posture and scaling's bounds.
 
     Attributes, beside those of PolicyFacts:
-        hash: SHA-256 of the file.
+        path, hash: the file, and its SHA-256.
         posture_size, feature_size, state_size, horizon: M, F, S, N.
         initial_state: c_0 (S,), zeros.
     """
@@ -138,7 +140,7 @@ class Policy(PolicyFacts):
         if self.torch is not None and self.torch.get("recall") is None:
             remedy = f"Train them: `python -m models.training recall --policy {path}`"
             raise WeightsError(path, "is a candidate without recall heads", remedy)
-        self.hash, self.posture_size = graph.hash, len(self.initial_posture)
+        self.path, self.hash, self.posture_size = Path(path), graph.hash, len(self.initial_posture)
         outputs: dict[str, Port] = {
             "y": _VECTOR,
             "next_state": _VECTOR,
@@ -149,9 +151,9 @@ class Policy(PolicyFacts):
         (size,), (self.state_size,), (self.horizon, _) = (shapes[name] for name in ("x", "state", "recalled"))
         self.feature_size = size - self.posture_size
         if shapes["y"] != (size,) or shapes["next_state"] != (self.state_size,) or self.feature_size < 1:
-            raise WeightsError(path, f"its graph has the sizes {shapes}", "y is as long as x, next_state as state")
+            raise WeightsError(path, f"its graph has the sizes {shapes}", "Make y as long as x, next_state as state")
         if (errors := self.mean_errors) is not None and errors.shape != (self.horizon + 1,):
-            raise WeightsError(path, f"its mean_errors have the shape {errors.shape}", f"{self.horizon + 1} are needed")
+            raise WeightsError(path, f"has {len(errors)} mean_errors, where {self.horizon + 1} are needed", CALIBRATE)
         self.initial_state = np.zeros(self.state_size)
 
     def step(self, x: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -25,6 +25,17 @@ _EXPORTED = re.compile(r"(?P<id>s\d+(?:in|out)) \[shape=none, label=<\n(?P<table
 _EXPORTED_CELL = re.compile(r'PORT="(?P<port>\d+)">(?P<label>[^<]*)')
 
 
+def graph_program() -> str:
+    """Graphviz's `dot`, or without it the command of a dependency, beside this Python; InputError without both."""
+    dot = shutil.which("dot") or shutil.which("graphviz-pure", path=sysconfig.get_path("scripts"))
+    if dot is None:
+        raise InputError(
+            "there is no program `dot` to draw the graph with: "
+            "install Graphviz or the package graphviz-pure (a .dot needs neither)"
+        )
+    return dot
+
+
 def save_graph(diagram: Diagram, path: Path) -> None:
     """Writes the graph of `diagram`, left to right, as .dot, .svg or .png.
 
@@ -36,13 +47,7 @@ def save_graph(diagram: Diagram, path: Path) -> None:
     if path.suffix == ".dot":
         write_text(path, text)
         return
-    # Without Graphviz the command of a dependency, beside this Python.
-    dot = shutil.which("dot") or shutil.which("graphviz-pure", path=sysconfig.get_path("scripts"))
-    if dot is None:
-        raise InputError(
-            "there is no program `dot` to draw the graph with: "
-            "install Graphviz or the package graphviz-pure, or ask for .dot"
-        )
+    dot = graph_program()
     try:
         drawn = subprocess.run([dot, f"-T{path.suffix[1:]}"], input=text.encode(), check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError) as error:

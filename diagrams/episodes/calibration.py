@@ -10,6 +10,7 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from diagrams.world.names import ARM_JOINTS, DECODER, ENCODER
+from models.checks import require_plain
 from models.data.runs import of_policy
 from models.errors import InputError
 from models.networks import network_label
@@ -75,6 +76,7 @@ def policy_name(label: str, training_seed: int = 0) -> str:
 def policy_file(folder: Path, rnn: str, training_seed: int = 0) -> Path:
     """The file in `folder` of the network that `rnn` names; raises InputError where there is none."""
     path = folder / policy_name(network_label(rnn), training_seed)
+    require_plain(path, "give another folder, or put the network's file there")
     if not path.is_file():
         files = (found for found in folder.glob("*.onnx") if found.name not in (ENCODER, DECODER))
         there = sorted(found.stem for found in files if training_seed or not re.search(r"-\d+$", found.stem))
@@ -111,7 +113,7 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     if DETECTORS.label(detector) == RECALL and not own:
         means, gamma = policy.mean_errors, policy.gamma if gamma is None else gamma
         if means is None or policy.beta is None or gamma is None:
-            raise InputError("the policy has no calibration: run diagrams/calibrate.py on its weight file")
+            raise InputError(f"{policy.path} has no calibration: run diagrams/calibrate.py on it")
         return Calibration(tuple(means), policy.beta, gamma)
     if DETECTORS.label(detector) in UNCALIBRATED:
         return never_fires(1)

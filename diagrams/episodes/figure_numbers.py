@@ -28,6 +28,11 @@ def recall_losses(weights: Path) -> dict[str, np.ndarray]:
     for rnn in NETWORKS:
         paths = [path for seed in TRAINING_SEEDS if (path := weights / policy_name(rnn, seed)).is_file()]
         means = [mean for path in paths if (mean := read_policy(path)[0].mean_errors) is not None]
+        if len(sizes := {len(mean) - 1 for mean in means}) > 1:
+            lengths = " and ".join(map(str, sorted(sizes)))
+            raise InputError(
+                f"the files of '{rnn}' in {weights} recall {lengths} ticks: put networks of one length there"
+            )
         if means:
             losses[rnn] = np.array(means)[:, 1:]
     return losses

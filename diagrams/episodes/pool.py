@@ -27,8 +27,8 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 
-class WorkerDied(RuntimeError):
-    """A job under which so many workers died."""
+class WorkerDied(InputError):
+    """A job under which so many workers died: more often for want of memory than for what is in it."""
 
 
 class Pool:
@@ -98,6 +98,9 @@ class Pool:
                     else:
                         gone = WorkerDied(f"{ATTEMPTS} workers died in a row while they ran this job")
                         if given_up is None:
+                            gone.add_note(
+                                "give each worker 1 GB of memory or more, or take fewer; then the same command goes on"
+                            )
                             raise gone
                         yield job, given_up(job, gone)
         except interrupts.Interrupted:

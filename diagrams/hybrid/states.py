@@ -19,8 +19,9 @@ class States(NetworkArguments):
 
     def run(self) -> int:
         """Lists the states; returns 0 if their sums are those of the root Context, else 1."""
-        from diagrams.drawing.graph import save_graph
+        from diagrams.drawing.graph import graph_program, save_graph
 
+        graph_program()  # refused before anything is written
         rollout, episode = self.closed_loop()
         rollout.prepare(episode)
         found = report(rollout.diagram, rollout.simulator.get_context())

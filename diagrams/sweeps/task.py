@@ -27,9 +27,10 @@ ROBUSTNESS = "robustness_"
 # Entries of a row that are no column of the table: by the folder in --out, the content of a file there, and its suffix.
 FILES = {"records": ".npz", "mcap": ".mcap"}
 
-DEATHS = ("WorkerDied", "KilledWorker", "MemoryError")
+DEATHS = ("WorkerDied", "KilledWorker", "MemoryError")  # how such a row's error begins
 MACHINE = (*DEATHS, "ImportError", "ModuleNotFoundError")  # errors that may say nothing of the episode
 MOST_LOST = 3  # episodes with such an error and no other
+MOST_NAMED = 10
 
 
 @dataclass(frozen=True)
@@ -128,25 +129,33 @@ def error_row(task: Task, error: BaseException) -> dict[str, Any]:
     }
 
 
-def believed(rows: Iterable[tuple[Task, dict[str, Any]]]) -> Iterator[tuple[Task, dict[str, Any]]]:
-    """Passes rows on, but for those of MACHINE: these when an episode was finished, and so it was not the machine.
+def died(row: dict[str, Any]) -> bool:
+    """Whether the row is that of an episode whose worker died, or had no memory left: no result."""
+    return (row["error"] or "").startswith(DEATHS)
 
-    Raises InputError, and none of them is passed on, after MOST_LOST or at the end where none was finished.
+
+def believed(rows: Iterable[tuple[Task, dict[str, Any]]]) -> Iterator[tuple[Task, dict[str, Any]]]:
+    """Passes rows on, but none that `died`; others of MACHINE when an episode was finished: so it was not the machine.
+
+    Raises InputError at the end where one died, and, after MOST_LOST or at the end, where none was finished.
     """
-    held, finished = list[tuple[Task, dict[str, Any]]](), False
+    held, dead, finished = list[tuple[Task, dict[str, Any]]](), list[tuple[Task, dict[str, Any]]](), False
     for task, row in rows:
         finished = finished or not (row["error"] or "").startswith(MACHINE)
-        held.append((task, row))
+        (dead if died(row) else held).append((task, row))
         if finished:
             yield from held
             held.clear()
-        elif len(held) == MOST_LOST:
+        elif len(held) + len(dead) == MOST_LOST:
             break
-    if held:
-        error = held[0][1]["error"]
-        memory = "give each worker 1 GB of memory or more, or use fewer"
-        remedy = memory if error.startswith(DEATHS) else "bring its packages to the versions of pyproject.toml"
-        raise InputError(f"{len(held)} episodes and none finished ({error}): {remedy}; then the same command goes on")
+    for lost, what, remedy in (
+        (dead, "lost their worker, or had no memory left,", "give each worker 1 GB of memory or more, or use fewer"),
+        (held, "and none finished", "bring its packages to the versions of pyproject.toml"),
+    ):
+        if lost:
+            keys = ", ".join(task.key for task, _ in lost[:MOST_NAMED]) + (" ..." if len(lost) > MOST_NAMED else "")
+            words = f"{len(lost)} episodes {what} ({lost[0][1]['error']}): {keys}"
+            raise InputError(f"{words}: {remedy}; then the same command goes on")
 
 
 def _peak(errors: np.ndarray) -> float | None:

@@ -12,12 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from diagrams.world.names import ARM_JOINTS, DIRECTIVES
+from models.checks import SMALLEST, require_number
 from models.errors import InputError
 from systems.arguments import require_count, require_positive, require_vector
 from systems.clearance_filter import WITHIN
 
 LARGEST_PICTURE = 2048  # pixels a side
 LARGEST_GRID = 100  # positions a side
+FARTHEST = 10.0  # m, of what is on the desk: no arm reaches so far
 CLEARANCE_CANS = ("possible", "known", "unseen")
 RESUMPTIONS = ("reset", "imagined")
 MOST_HALVINGS = 10  # of a period to a time step: a simulation of smaller ones would not end
@@ -149,6 +151,9 @@ class World:
             require_vector("world.servo.stiffness", self.servo.stiffness, ARM_JOINTS, minimum=0.0)
             require_vector("world.servo.damping", self.servo.damping, ARM_JOINTS, minimum=0.0)
             require_vector("world.grid.corner", self.grid.corner, 2)
+            for place in self.grid.corner:
+                require_number("world.grid.corner", place, -FARTHEST, FARTHEST)
+            require_number("world.grid.spacing", self.grid.spacing, SMALLEST, FARTHEST)
             require_vector("world.initial_joints_deg", self.initial_joints_deg, ARM_JOINTS)
         except ValueError as error:
             raise InputError(str(error)) from error

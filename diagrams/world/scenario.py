@@ -1,6 +1,8 @@
 """One episode and its world, as a scenario file holds them (YAML over the defaults)."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -59,6 +61,17 @@ class Scenario:
         self.world.check()
 
 
+@contextmanager
+def naming_file(path: Path | None, what: str = "scenario") -> Iterator[None]:
+    """An InputError of the block says too which file `path`, a `what`, was read: its value may stand there."""
+    try:
+        yield
+    except InputError as error:
+        if path is not None:
+            error.add_note(f"the {what} file is {path}")
+        raise
+
+
 Loaded = TypeVar("Loaded", Scenario, World)
 
 
@@ -70,7 +83,8 @@ def load_scenario(path: Path, world: World | None = None) -> Scenario:
 def load_world(path: Path | None) -> World:
     """The world in the YAML file `path`, over the default one; raises InputError for what does not fit."""
     world = World() if path is None else _load(path, "world", World(), "configuration.py")
-    world.check()
+    with naming_file(path, "world"):
+        world.check()
     return world
 
 

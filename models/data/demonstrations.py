@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import json
+import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ SPLITS = ("train", "valid")
 START_TICKS, END_TICKS = 3, 14  # of a subtask's dwells that are kept
 LEAST_TICKS, MOST_TICKS = 12, 100_000  # of a subtask, and of a demonstration
 LARGEST_CHUNK = 100_000_000  # bytes
+MOST_CHUNKS = 100_000  # of an array: HDF5 takes hundreds of bytes for each that it looks for
 LARGEST = 1000.0  # rad and m, and more than any posture has
 TOLERANCE = 0.02  # rad and m: a posture nearer than that to the dwell's is taken for dwelling
 
@@ -77,7 +79,14 @@ def hdf5_errors(path: str | Path, verb: str, remedy: str, damaged: str) -> Itera
         raise DatasetError(f"{path} {wrong}") from error
     except InputError:
         raise
-    except (AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:  # of h5py, by what is broken
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ) as error:  # of h5py, by what is broken
         raise DatasetError(f"{path} is damaged ({' '.join(str(error).split()):.200}): {damaged}") from error
 
 
@@ -125,9 +134,15 @@ def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demo
 
 
 def _small(dataset: h5py.Dataset) -> h5py.Dataset:
-    """The dataset; raises ValueError where a part of it that is read at once would take more than LARGEST_CHUNK."""
+    """The dataset; raises ValueError where a part of it that is read at once would take more than LARGEST_CHUNK.
+
+    Also for more than MOST_CHUNKS, whether or not they are there.
+    """
     if dataset.chunks is not None and (size := int(np.prod(dataset.chunks)) * dataset.dtype.itemsize) > LARGEST_CHUNK:
         raise ValueError(f"{dataset.name} has chunks of {size} bytes, more than {LARGEST_CHUNK}")
+    counts = [-(-axis // chunk) for axis, chunk in zip(dataset.shape, dataset.chunks or (), strict=False)]
+    if (count := math.prod(counts)) > MOST_CHUNKS:
+        raise ValueError(f"{dataset.name} has {count} chunks, more than {MOST_CHUNKS}")
     if dataset.ndim < 4 and (size := dataset.size * dataset.dtype.itemsize) > LARGEST_CHUNK:
         raise ValueError(f"{dataset.name} has {size} bytes, more than {LARGEST_CHUNK}")
     return dataset

@@ -4,6 +4,7 @@ import errno
 import fcntl
 import hashlib
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -50,6 +51,25 @@ def partial_of(path: Path) -> Path:
     return path.with_name(f"{path.stem}.{os.getpid()}.part{path.suffix}")
 
 
+def remove_left_parts(path: Path) -> None:
+    """Removes what processes that are no more left of `path` under their `partial_of`: a kill does, and it is large."""
+    name = re.compile(rf"{re.escape(path.stem)}\.([1-9]\d{{0,8}})\.part{re.escape(path.suffix)}")
+    with suppress(OSError):  # whatever keeps it there is said where the file itself is written
+        for left in [*path.parent.iterdir()]:
+            if (found := name.fullmatch(left.name)) and not _runs(int(found[1])):
+                left.unlink()
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True
+
+
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
     """A name beside `path` to write to, see `partial_of`: it becomes `path` when the block has ended well, else goes.
@@ -66,6 +86,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     try:
         with naming(path):
             target.parent.mkdir(parents=True, exist_ok=True)
+            remove_left_parts(target)
             yield partial
             os.replace(partial, target)
     finally:

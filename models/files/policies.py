@@ -53,6 +53,8 @@ class PolicyFacts:
                         raise ValueError(f"{name} is {found[name]}")
                     if name in _POSITIVE and not (number >= np.finfo(float).tiny).all():
                         raise ValueError(f"{name} is {found[name]}: numbers above 0 are needed")
+                    if name == "mean_errors" and number.ndim != 1:
+                        raise ValueError(f"{name} has the shape {number.shape}: a list is needed")
                     found[name] = number if name.endswith(("posture", "errors")) else float(number)
             facts = cls(scaling=MinMaxScaling(header["lower"], header["upper"]), **found)
             if facts.initial_posture.shape != facts.scaling.lower.shape:

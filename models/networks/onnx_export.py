@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from models.errors import InputError
+from models.interrupts import held
 from models.networks.cae import FEATURE_SIZE, IMAGE_SIZE, ConvolutionalAutoencoder
 from models.networks.recall import RecallHeads
 from models.networks.rnn import RecurrentNetwork
@@ -106,7 +107,7 @@ def _export(module: nn.Module, inputs: dict[str, Tensor], outputs: list[str], ba
     level = logger.level
     logger.setLevel(logging.ERROR)  # it says at each export which packages it could use and does not need
     try:
-        with warnings.catch_warnings():
+        with held(), warnings.catch_warnings():  # torch takes a request to end for a failure of its own
             warnings.simplefilter("ignore")
             program = torch.onnx.export(
                 module.eval().cpu(), kwargs=inputs, input_names=list(inputs), output_names=outputs,

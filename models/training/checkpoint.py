@@ -9,7 +9,7 @@ import torch
 
 from models.checks import require_plain
 from models.errors import InputError
-from models.files.container import write_bytes
+from models.files.container import remove_left_parts, write_bytes
 
 _FREE = {"checkpoint_every", "validate_every"}  # options that change no weight: a training may go on with others
 
@@ -37,8 +37,7 @@ class Checkpoint:
 
     def load(self) -> int:
         """The updates done so far; 0 without a file. A weight file that should be there and is not is written."""
-        for left in self.path.parent.glob(f"{self.path.stem}.*.part{self.path.suffix}"):
-            left.unlink()  # by a kill; large
+        remove_left_parts(self.path)
         if not self.path.exists():
             return 0
         require_plain(self.path, "choose another --out")

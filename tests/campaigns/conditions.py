@@ -5,6 +5,7 @@ import os
 import resource
 import subprocess
 import sys
+import sysconfig
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ class Condition:
     without: tuple[str, ...] = ()  # surroundings that are not there
     shell: str = "{}"  # around the command
     may: tuple[int, ...] = (2,)
+    says: str = ""  # on stderr
     targets: tuple[str, ...] = ("sweep", "teach", "rnn", "calibrate", "return", "pick_place")
     same: bool = True  # what it leaves is what an undisturbed run leaves
     folder: str = "out"  # name of the folder `out`
@@ -105,6 +107,12 @@ def _no_locks(largest: int, rng: np.random.Generator) -> None:
     _mount("-o", "remount,ro,bind", "/dev/shm")
 
 
+def _no_graphviz(largest: int, rng: np.random.Generator) -> None:
+    """Nor the command of the package that takes its place, which lies beside this Python."""
+    os.environ["PATH"] = "/nowhere"
+    sysconfig.get_path = lambda *_, **__: "/nowhere"
+
+
 def _elsewhere(largest: int, rng: np.random.Generator) -> None:
     os.chdir("/")
 
@@ -134,7 +142,8 @@ CONDITIONS = {
     "64 threads": Condition(executed=True, surroundings=(("OMP_NUM_THREADS", "64"),), same=False, may=()),
     "no EGL": Condition(executed=True, surroundings=(("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere.json"),),
                         targets=("pick_place",)),
-    "no Graphviz": Condition(executed=True, surroundings=(("PATH", "/nowhere"),), targets=("pick_place",), same=False),
+    "no Graphviz": Condition(on=_no_graphviz, may=(), targets=("pick_place",), same=False,
+                             says="warning: the diagram could not be drawn: there is no program `dot`"),
 }  # fmt: skip
 
 

@@ -80,6 +80,8 @@ class MachineCampaign(Campaign):
             ended = run(program, self._said(out), surroundings)
         wrong = _end(ended, whole["code"], given.may)
         given.after(out)
+        if wrong is None and given.says not in ended.err:
+            wrong = f"it does not say `{given.says}`: {ended.err[-800:]}"
         if wrong is None and given.same:
             if ended.code != whole["code"]:
                 again = self._whole(name, out)

@@ -10,12 +10,13 @@ class Network:
     """Host 0 is the hub, with the driver and the scheduler; a context manager.
 
     Attributes:
+        hosts: their number beside the hub.
         apart: whether the hosts are namespaces; else all of them are this machine, and none can be cut off.
     """
 
     def __init__(self, hosts: int):
         """`hosts`: beside the hub."""
-        self._hosts, self._holders = hosts, list[subprocess.Popen]()
+        self.hosts, self._holders = hosts, list[subprocess.Popen]()
         can = shutil.which("unshare") and shutil.which("nsenter") and shutil.which("ip")
         self.apart = (
             bool(can) and not subprocess.run(["unshare", "-n", "true"], capture_output=True, check=False).returncode
@@ -46,7 +47,7 @@ class Network:
         return self
 
     def _build(self) -> None:
-        for host in range(self._hosts + 1):
+        for host in range(self.hosts + 1):
             holder = subprocess.Popen(
                 ["unshare", "-n", "sh", "-c", f"echo; exec sleep {LASTS}"], stdout=subprocess.PIPE
             )
@@ -57,7 +58,7 @@ class Network:
         self._ip(0, "link add bridge0 type bridge")
         self._ip(0, f"addr add {self.address(0)}/24 dev bridge0")
         self._ip(0, "link set bridge0 up")
-        for host in range(1, self._hosts + 1):
+        for host in range(1, self.hosts + 1):
             self._ip(0, f"link add port{host} type veth peer name plug netns {self._holders[host].pid}")
             self._ip(0, f"link set port{host} master bridge0 up")
             self._ip(host, f"addr add {self.address(host)}/24 dev plug")

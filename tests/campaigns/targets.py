@@ -53,7 +53,7 @@ class Target:
         return {
             str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest()
             for path in sorted(out.rglob("*"))
-            if path.is_file() and ".part" not in path.name and path.name not in self.volatile
+            if path.is_file() and path.name not in self.volatile
         }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.campaigns import cluster
-from tests.campaigns.cluster import Bad, Case, ClusterArguments
+from tests.campaigns.cluster_case import Bad, Case, ClusterArguments
 from tests.campaigns.network import Network
 
 ROWS = {"a": {"success": True}, "b": {"success": False}}

@@ -252,6 +252,7 @@ def taped_run(kind, number):
         ({"factors": [float("nan")]}, "--factors nan is no number"),
         ({"betas": [0.0]}, "--betas 0.0 is too small"),
         ({"policies": [Path("a/lstm.onnx"), Path("b/lstm.onnx")]}, "several folders"),
+        ({"policies": [Path("/proc/version/lstm.onnx")]}, "--policies /proc/version/lstm.onnx is no file: give"),
         ({"trials": 0}, "--trials 0 is too small"),
         ({"workers": -1}, "--workers -1 is too small"),
         ({"seed": 100}, "seed 100"),

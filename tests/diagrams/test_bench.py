@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from diagrams import bench
+from diagrams.episodes.pool import WorkerDied
 from diagrams.episodes.rollout import Rollout
 from diagrams.monitors import bench_task
 from diagrams.monitors.bench_plan import BenchArguments
@@ -171,6 +172,17 @@ def test_an_episode_with_an_error_counts_nowhere_and_is_run_again(weights, tmp_p
     monkeypatch.setattr(bench, "run_bench_task", bench_fakes.bench_row)
     assert bench.main(arguments(weights, tmp_path)) == 0
     assert {c["n"] for c in summary(tmp_path)["cells"]} == {3}
+
+
+def test_an_episode_under_which_workers_die_is_no_result(weights, tmp_path, monkeypatch):
+    def deadly(folder, task):
+        died = task.stage == "off" and task.kind == "A" and task.seed % 3 == 0
+        return bench_task.error_row(task, WorkerDied("3 in a row")) if died else bench_fakes.bench_row(folder, task)
+
+    monkeypatch.setattr(bench, "run_bench_task", deadly)
+    with pytest.raises(InputError, match=r"^1 episodes lost their worker.*: off-\S+-A-\d+: give each worker 1 GB"):
+        bench.main(arguments(weights, tmp_path))
+    assert (tmp_path / "rows.jsonl").read_text().count('"off-') == 8
 
 
 def test_an_error_of_an_undisturbed_run_ends_it(weights, tmp_path, monkeypatch):

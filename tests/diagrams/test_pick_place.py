@@ -115,6 +115,18 @@ def test_weights_that_do_not_fit_together_are_bad_input(tmp_path, monkeypatch, c
     assert list(tmp_path.iterdir()) == [folder]  # no empty outputs
 
 
+def test_the_file_is_told_whose_value_is_refused_later(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for text, wrong in (
+        ("disturbance: {kind: A, severity: 0.5}", "the severity 0.5 says nothing"),
+        ("disturbance: {kind: A, level: 0.2, hold_ticks: 2, target: [0, 0, 0, -3, 0, 0, 0]}", "outside of the joint"),
+    ):
+        (tmp_path / "s.yaml").write_text(text)
+        with pytest.raises(InputError, match=wrong) as refused:
+            pick_place.main(parse(["--scenario", "s.yaml"]))
+        assert refused.value.__notes__ == ["the scenario file is s.yaml"]
+
+
 def test_defaults():
     cli = parse([])
     assert (cli.rnn, cli.disturbance.kind, cli.seed, cli.can, cli.vacant) == ("lstm", "A", 0, None, None)

@@ -183,10 +183,25 @@ def test_errors_are_rows_with_their_traceback(tmp_path, weights, in_this_process
     assert run(weights, tmp_path, disturbance=["none"], retry_errors=True) == 0
 
 
-def test_an_episode_under_which_workers_die_is_a_row(tmp_path, weights, monkeypatch):
+def test_an_episode_under_which_workers_die_is_no_result(tmp_path, weights, monkeypatch):
     monkeypatch.setattr(sweep, "run_task", sweep_fakes.deadly_task)
-    assert run(weights, tmp_path, episodes=3, disturbance=["none"], workers=1) == 1
-    assert [(row["error"] or "").split(":")[0] for row in table(tmp_path)] == ["WorkerDied", "", ""]
+    asked = {"episodes": 3, "disturbance": ["none"], "workers": 1}
+    with pytest.raises(InputError, match=r"^1 episodes lost their worker.*: \S+-none-\d+: give each worker"):
+        run(weights, tmp_path, **asked)
+    assert not (tmp_path / "episodes.parquet").exists()
+    rows = tmp_path / "rows.jsonl"
+    _, *stored = [json.loads(line) for line in rows.read_text().splitlines()]
+    assert [line["row"]["error"] for line in stored] == [None, None]
+    # A row of it that an older program stored is none either.
+    monkeypatch.setattr(sweep, "run_task", sweep_fakes.outcome_row)
+    assert run(weights, tmp_path, **asked) == 0
+    *before, last = rows.read_text().splitlines(keepends=True)
+    dead = json.loads(last)
+    dead["row"] |= {"error": "KilledWorker: 4 workers died", "success": False}
+    rows.write_text("".join(before) + json.dumps(dead) + "\n")
+    assert run(weights, tmp_path, **asked) == 0
+    assert [row["error"] for row in table(tmp_path)] == [None] * 3
+    assert len(rows.read_text().splitlines()) == 5
 
 
 def test_other_weights_do_not_mix(tmp_path, weights, faked):

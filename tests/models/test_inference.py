@@ -12,6 +12,7 @@ import torch
 from models.data.demonstrations import iterate_frames
 from models.files.container import WeightsError, file_hash
 from models.files.graphs import write_graph
+from models.files.policies import read_policy
 from models.files.weights import load_autoencoder, load_policy, save_policy
 from models.inference import Decoder, Encoder, Policy
 from models.networks.cae import to_image
@@ -155,7 +156,7 @@ def test_policy_s_attributes(tmp_path: Path) -> None:
     [
         ({"posture": 7}, r"its recalled is float32 \(2, 7\), where float32 \(n, 8\), n from 1"),
         ({"features": 200_000}, r"its inputs have the sizes .*200008.*: fixed ones are needed"),
-        ({"horizon": 3}, r"its mean_errors have the shape \(3,\).*4 are needed"),
+        ({"horizon": 3}, r"has 3 mean_errors, where 4 are needed\. Calibrate it again"),
     ],
 )
 def test_a_policy_of_other_sizes_is_refused(tmp_path, change, named):
@@ -192,6 +193,26 @@ def test_a_graph_that_cannot_run_is_refused(tmp_path):
     write_graph(tmp_path / "x.onnx", broken.SerializeToString(), {"kind": "encoder"})
     with pytest.raises(WeightsError, match=r"x\.onnx: its graph cannot be run .*NoSuchOperator"):
         Encoder(tmp_path / "x.onnx")
+
+
+def test_mean_errors_are_a_list(tmp_path):
+    for odd in (2.0, [[2.0]]):
+        header = make_policy().header() | {"mean_errors": odd}
+        write_graph(tmp_path / "p.onnx", handmade.policy(None).SerializeToString(), header)
+        with pytest.raises(WeightsError, match=r"p\.onnx: .*mean_errors has the shape \(.*a list is needed"):
+            read_policy(tmp_path / "p.onnx")
+
+
+def test_the_runtime_says_nothing_itself(tmp_path, capfd):
+    """Not even its allocator, of a tensor that would fill the address space."""
+    broken = handmade.encoder()
+    [rows] = [tensor for tensor in broken.graph.initializer if tensor.name == "rows"]
+    del rows.dims[:]
+    rows.dims.extend([2**31, 2**31])
+    write_graph(tmp_path / "x.onnx", broken.SerializeToString(), {"kind": "encoder"})
+    with pytest.raises(WeightsError, match=r"x\.onnx: its graph cannot be run"):
+        Encoder(tmp_path / "x.onnx")
+    assert capfd.readouterr().err == ""
 
 
 def test_a_graph_that_fails_at_a_later_tick_is_named(tmp_path):

@@ -7,10 +7,13 @@ import sys
 import time
 
 import pytest
+import torch
 
 from models import interrupts
 from models.command_line import ROOT
 from models.interrupts import Interrupted, held, leave_if_asked, listening
+from models.networks.onnx_export import policy_graph
+from models.networks.rnn import make_rnn
 
 PROGRAM = """
 import sys, time
@@ -107,6 +110,21 @@ def test_what_is_ignored_stays_ignored():
             signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_torch_does_not_take_a_request_for_a_failure_of_its_own(monkeypatch):
+    export = torch.onnx.export
+
+    def swallowing(*arguments, **keywords):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise torch.onnx.OnnxExporterError("half an import") from None
+        return export(*arguments, **keywords)
+
+    monkeypatch.setattr(torch.onnx, "export", swallowing)
+    with listening(), pytest.raises(Interrupted):
+        policy_graph(make_rnn("lstm", 8, 2), None)
 
 
 def test_an_error_is_not_replaced_by_a_request_that_came_with_it():

@@ -6,6 +6,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder
 
 from diagrams.drawing.graph import save_graph
+from diagrams.hybrid.states import States
 from models.errors import InputError
 
 SYSTEMS = (
@@ -58,6 +59,9 @@ def test_no_program_to_draw_with(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no program `dot`"):
         save_graph(diagram, tmp_path / "graph.svg")
     save_graph(diagram, tmp_path / "graph.dot")  # needs none
+    with pytest.raises(InputError, match="no program `dot`"):
+        States(out=tmp_path / "states").run()  # before its work
+    assert not (tmp_path / "states").exists()
 
 
 @pytest.mark.parametrize("script", ["#!/bin/sh\necho 'no such\nfont' >&2; exit 3\n", "no program at all"])

@@ -12,6 +12,7 @@ from diagrams.episodes.calibration import (
     learned_hash,
     make_detector,
     never_fires,
+    policy_file,
     policy_name,
     stored_calibration,
 )
@@ -99,7 +100,7 @@ def test_what_is_missing_is_said(folder, tmp_path):
     with pytest.raises(WeightsError, match="no calibration for the policy"):
         stored_calibration(OUTSIDE, policy, tmp_path)
     policy.gamma = None
-    with pytest.raises(InputError, match=r"the policy has no calibration: run diagrams/calibrate\.py"):
+    with pytest.raises(InputError, match=r"lstm\.onnx has no calibration: run diagrams/calibrate\.py on it"):
         stored_calibration("recall", policy, folder)
 
 
@@ -121,5 +122,8 @@ def test_a_file_without_what_was_learned_is_named_as_such(folder, tmp_path):
     assert "cannot be built for this policy" not in str(error.value)
 
 
-def test_names_of_policies():
+def test_names_of_policies(tmp_path):
     assert [policy_name("gru", seed) for seed in (0, 1)] == ["gru.onnx", "gru-1.onnx"]
+    (tmp_path / "lstm.onnx").mkdir()
+    with pytest.raises(InputError, match=r"lstm\.onnx is a folder, no plain file: give another folder"):
+        policy_file(tmp_path, "lstm")

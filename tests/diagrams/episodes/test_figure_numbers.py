@@ -1,5 +1,7 @@
 """The numbers of the figures, from records and weight files made by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from diagrams.episodes.figure_numbers import (
 from diagrams.episodes.record import save_record
 from diagrams.world.configuration import World
 from models.errors import InputError
+from models.files.policies import read_policy, write_policy
 from tests.diagrams.recorded_run import recorded_run
 from tests.diagrams.untrained import save_untrained
 
@@ -39,6 +42,10 @@ def test_recall_losses_of_what_is_there(tmp_path):
     assert losses["lstm"] == pytest.approx(np.full((2, 10), 1e-9))
     save_untrained(tmp_path, calibrated=False)
     assert recall_losses(tmp_path)["lstm"].shape == (1, 10)
+    facts, graph = read_policy(tmp_path / "lstm-2.onnx")
+    write_policy(tmp_path / "lstm-1.onnx", replace(facts, mean_errors=np.ones(4)), graph.content)
+    with pytest.raises(InputError, match=r"the files of 'lstm' in .* recall 3 and 10 ticks: put"):
+        recall_losses(tmp_path)
 
 
 def test_the_first_run_in_which_all_went_well_is_shown(tmp_path):

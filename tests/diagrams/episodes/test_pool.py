@@ -81,8 +81,10 @@ def test_a_job_that_kills_its_workers_is_given_up(pool):
     found = dict(pool.run(pool_jobs.kill_every_worker, jobs, lambda job, gone: str(gone)))
     assert (found["one"], found["two"]) == ("one", "two")
     assert found["deadly"].startswith(f"{ATTEMPTS} workers died")
-    with pytest.raises(WorkerDied):
+    with pytest.raises(WorkerDied) as refused:  # one line and exit code 2, no traceback
         list(pool.run(pool_jobs.kill_every_worker, ["deadly"]))
+    assert isinstance(refused.value, InputError)
+    assert "give each worker 1 GB of memory or more" in refused.value.__notes__[0]
 
 
 def test_what_is_kept_is_made_once_and_the_oldest_goes():

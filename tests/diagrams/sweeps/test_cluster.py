@@ -180,22 +180,30 @@ def test_a_cluster_without_workers_is_not_waited_for_in_silence(monkeypatch, cap
 
 
 def test_rows_of_workers_without_memory_are_not_believed():
-    tasks = [make_task(seed) for seed in range(4)]
-    died = [(task, error_row(task, WorkerDied("3 workers died"))) for task in tasks]
+    tasks = [make_task(seed) for seed in range(14)]
+    errors = [WorkerDied("3 workers died"), MemoryError("no room")]
+    died = [(task, error_row(task, errors[k % 2])) for k, task in enumerate(tasks)]
+    lacking = [(task, error_row(task, ImportError("no foxglove"))) for task in tasks]
     finished = (tasks[2], {"error": None})
     raised = (tasks[2], error_row(tasks[2], RuntimeError("the arm fell off")))
-    for rows in (died, died[:1]):
+    given = iter(died)
+    for rows in (died[3:4], given):
         with pytest.raises(InputError, match="give each worker 1 GB of memory or more"):
             list(believed(rows))
-    lacking = [(task, error_row(task, ImportError("no foxglove"))) for task in tasks]
+    assert next(given) is died[3]  # after three nothing more is run
     with pytest.raises(
-        InputError, match=r"none finished \(ImportError: no foxglove\): bring its packages to the versions"
+        InputError, match=r"none finished \(ImportError: no foxglove\): .*: bring its packages to the versions"
     ):
         list(believed(lacking))
-    for other in (finished, raised):  # then it is these episodes
-        assert list(believed([*died[:2], other, died[3]])) == [*died[:2], other, died[3]]
-    # After three nothing more is run.
-    assert list(itertools.islice(believed(iter([*died[:2], finished])), 3)) == [*died[:2], finished]
+    assert list(itertools.islice(believed(iter([*lacking[:2], finished])), 3)) == [*lacking[:2], finished]
+    for other in (finished, raised):  # then it is these episodes: all others are run, and no more than ten are named
+        given = believed([lacking[0], died[0], other, *died[3:6], finished, *died[6:], raised])
+        assert list(itertools.islice(given, 4)) == [lacking[0], other, finished, raised]
+        with pytest.raises(InputError) as refused:
+            next(given)
+        names = ", ".join(task.key for task, _ in [died[0], *died[3:12]])
+        assert str(refused.value).startswith("12 episodes lost their worker, or had no memory left, (WorkerDied: 3")
+        assert f"): {names} ...: give each worker 1 GB" in str(refused.value)
     assert list(believed([])) == []
 
 

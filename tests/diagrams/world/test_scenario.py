@@ -5,7 +5,7 @@ import pytest
 
 from diagrams.world.configuration import Grid, Timing, World
 from diagrams.world.disturbance import DisturbanceSpec
-from diagrams.world.scenario import Scenario, load_scenario
+from diagrams.world.scenario import Scenario, load_scenario, load_world
 from models.errors import InputError
 
 
@@ -42,6 +42,13 @@ def test_a_missing_file_is_named(tmp_path):
         load_scenario(tmp_path / "none.yaml")
 
 
+def test_a_refused_world_is_told_by_its_file(tmp_path):
+    (tmp_path / "w.yaml").write_text("grid: {count: 1}")
+    with pytest.raises(InputError, match=r"world\.grid\.count is 1") as refused:
+        load_world(tmp_path / "w.yaml")
+    assert refused.value.__notes__ == [f"the world file is {tmp_path / 'w.yaml'}"]
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -76,7 +83,9 @@ def test_choices_are_checked(change, named):
         ("camera", {"field_of_view_deg": 180.0}, "no angle of view"),
         ("grid", {"corner": [0.4]}, "world.grid.corner has shape"),
         ("grid", {"corner": [0.4, float("inf")]}, "world.grid.corner is"),
+        ("grid", {"corner": [1e308, 0.0]}, "world.grid.corner 1e[+]308 is too large: choose at most 10"),
         ("grid", {"spacing": 0.0}, "world.grid.spacing is 0.0"),
+        ("grid", {"spacing": 1e308}, "world.grid.spacing 1e[+]308 is too large: choose at most 10"),
         ("grid", {"count": 1}, "world.grid.count is 1"),
         ("grid", {"count": 10**6}, "world.grid.count is 1000000; .* at most 100"),
         ("regulator", {"input_weight": 0.0}, "world.regulator.input_weight is 0.0"),

@@ -131,6 +131,12 @@ def _attribute(name, value):
     return change
 
 
+def _many_chunks(file):
+    """None of which is there."""
+    del file["mask/train"]
+    file.create_dataset("mask/train", shape=(10**7,), dtype="S6", chunks=(1,))
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -143,6 +149,8 @@ def _attribute(name, value):
         (_instead("data/demo_3/obs/posture", lambda a: a[:, :7]), r"posture \(100, 7\)"),
         (_instead("data/demo_3/obs/posture", lambda a: a * np.nan), "posture .*finite numbers"),
         (_attribute("subtask_starts", [0, 1000]), r"subtask_starts \(0, 1000\) of 100 ticks"),
+        (_attribute("subtask_starts", [0, np.inf]), "infinity"),
+        (_many_chunks, "/mask/train has 10000000 chunks, more than 100000"),
         (_attribute("subtask_starts", [0, 3]), "subtasks of 12 ticks or more"),
         (_attribute("can_xy", [1.0, 2.0, 3.0]), r"can_xy \[1\. 2\. 3\.\]"),
     ],

@@ -33,6 +33,38 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
     assert path.read_bytes() == b"9 \xc2\xb1 1"
 
 
+def test_parts_of_dead_processes_go_with_the_next_write(tmp_path, monkeypatch):
+    path = tmp_path / "a[1].b.ckpt"
+    code = (
+        "import os, signal\nfrom models.files.container import whole_file\n"
+        f"with whole_file({str(path)!r}) as partial:\n"
+        "    partial.write_bytes(b'half')\n    os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    killed = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT)
+    killed.wait()
+    assert [left.name for left in tmp_path.iterdir()] == [f"a[1].b.{killed.pid}.part.ckpt"]
+    dead, child = killed.pid, subprocess.Popen(["sleep", "60"])  # that one runs
+    names = [f"a[1].b.{os.getpid()}.part.ckpt.txt", f"a1.b.{dead}.part.ckpt", f"a[1].b.x{dead}.part.ckpt",
+             f"a[1].b.{'9' * 30}.part.ckpt", "a[1].b.0.part.ckpt", f"a[1].b.{dead}.part.csv", f"b.{dead}.part.ckpt",
+             f"a[1].b.{child.pid}.part.ckpt", "a[1].b.1.part.ckpt"]  # fmt: skip
+    for name in names:
+        (tmp_path / name).touch()
+    kill = os.kill
+
+    def of_another_user(pid, number):
+        if pid == 1:
+            raise PermissionError
+        kill(pid, number)
+
+    monkeypatch.setattr(os, "kill", of_another_user)
+    write_bytes(path, b"whole")
+    child.kill()
+    assert {left.name for left in tmp_path.iterdir()} == {*names, path.name}
+    child.wait()
+    write_bytes(path, b"again")
+    assert {left.name for left in tmp_path.iterdir()} == {*names, path.name} - {f"a[1].b.{child.pid}.part.ckpt"}
+
+
 def test_errors_without_a_path_stay_so(tmp_path):
     with pytest.raises(OSError, match="open files") as refused, naming(tmp_path):
         raise OSError(errno.EMFILE, "too many open files")
