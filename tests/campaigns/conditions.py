@@ -150,5 +150,6 @@ CONDITIONS = {
 def command(name: str, given: Path, out: Path, where: Path | None = None) -> list[str]:
     """That runs a target in a Python of its own."""
     code = "import sys; from pathlib import Path; from tests.campaigns.targets import TARGETS; "
-    code += f"TARGETS[{name!r}].run(Path({str(given)!r}), Path({str(out)!r}))"
-    return [sys.executable, "-c", code]
+    code += "name, *folders = sys.argv[1:]; TARGETS[name].run(*map(Path, folders))"
+    # As arguments: code with letters that the machine's language does not have is no code to Python.
+    return [sys.executable, "-c", code, name, str(given), str(out)]
