@@ -74,7 +74,7 @@ class BaselinesArguments:
     fit_seed: int = 3  # 0 to 99: which validation episodes a detector learns from, if it does from a network's runs
     fit_runs: int = 40  # how many of these
     delta: float = 0.01  # conformal: share of undisturbed runs with a false alarm, at most, as far as --episodes allows
-    workers: int = 2  # processes
+    workers: int = 2  # processes; 0: this one
 
 
 def parse(arguments: list[str] | None = None) -> BaselinesArguments:

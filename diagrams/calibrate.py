@@ -70,7 +70,7 @@ class CalibrateArguments:
     seed: int = 0  # 0 to 99: which validation episodes select the network and give its mean errors
     calibration_seed: int = 2  # 0 to 99: which validation episodes give gamma
     kept: Path = Path("outputs/calibration")  # folder of the finished episodes: the same command goes on after a kill
-    workers: int = 2  # processes
+    workers: int = 2  # processes; 0: this one
 
     def check(self) -> None:
         """Raises InputError for a value outside its choices."""

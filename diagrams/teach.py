@@ -31,7 +31,7 @@ class TeachArguments:
     format: Literal["robomimic", "lerobot"] = "robomimic"  # lerobot: LeRobotDataset v3; what is trained here: robomimic
     world: Path | None = None  # YAML file of the world to teach in
     seed: int = 0  # samples how the cans are turned about their axes and how the arm is pushed off its path
-    workers: int = field(default_factory=cores)  # processes
+    workers: int = field(default_factory=cores)  # processes; 0: this one
     limit: int | None = None  # only so many demonstrations (for trying out)
 
 

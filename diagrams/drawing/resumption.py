@@ -15,7 +15,7 @@ WORDS = {"reset": "starts anew at home", "imagined": "imagines its way to the en
 
 
 def save_resumption(rows: Sequence[Mapping[str, Any]], period: float, path: Path) -> None:
-    """Draws, by rule and kind, the share of starts that have resumed over time (left); V against the time measured.
+    """Draws, by rule and kind, the share of starts that have resumed over time (left); T against the time measured.
 
     `rows`: `rule`, `kind`, `foretold` and `resumed` of each start, see diagrams/hybrid/resumption.py; `period`: of the
     ticks, s.
@@ -41,7 +41,7 @@ def save_resumption(rows: Sequence[Mapping[str, Any]], period: float, path: Path
     if left.get_legend_handles_labels()[0]:
         left.legend(fontsize=8, loc="lower right")
     right.plot([0.0, longest], [0.0, longest], color="0.5", lw=0.8)
-    right.set(xlabel="V: foretold by the network alone (s)", ylabel="measured in the whole system (s)")
+    right.set(xlabel="T: foretold by the network alone (s)", ylabel="measured in the whole system (s)")
     if right.get_legend_handles_labels()[0]:
         right.legend(fontsize=8, markerscale=3)
     save(figure, path)

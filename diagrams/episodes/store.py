@@ -2,14 +2,16 @@
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from models.checks import require_plain
 from models.errors import InputError
 from models.files.container import lock, naming
 from models.interrupts import held
 
+R = TypeVar("R")
 FIRST = b'{"fingerprint": '  # how such a file begins
 
 
@@ -25,7 +27,7 @@ class RowStore:
         Raises InputError where it cannot be written, belongs to a running program, is none of this program's or damaged
         (neither is changed), or was made with another `fingerprint` (plain types, see fingerprint.py).
         """
-        self.path, self.rows = path, dict[str, Any]()
+        self.path, self.rows, self._option = path, dict[str, Any](), option
         fingerprint = json.loads(json.dumps(fingerprint))
         require_plain(path, f"choose another {option}")
         try:
@@ -68,6 +70,15 @@ class RowStore:
         self._file.truncate(whole)
         if len(lines) == 1:
             self._write({"fingerprint": fingerprint})
+
+    def read(self, key: str, of: Callable[[Any], R]) -> R:
+        """`of` of the row under `key`; raises InputError where it is none that `of` can read."""
+        try:
+            return of(self.rows[key])
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+            raise InputError(
+                f"{self.path} is damaged in the row {key:.80}: delete that line, or choose another {self._option}"
+            ) from error
 
     def add(self, key: str, row: Any) -> None:
         """Adds a row (plain types) under `key`, over an earlier one; it is on disk when this returns.

@@ -41,7 +41,6 @@ class Validation:
         """
         from tqdm import tqdm
 
-        rows = self.store.rows if self.store else {}
         seeds = episode_seeds("validation", self.seed, max(counts.values()))
         ends = {kind: until or ("task" if kind == "none" else "detection") for kind in counts}
         jobs = [
@@ -55,7 +54,11 @@ class Validation:
         def key(job: Job) -> str:
             return f"{job.kind}-{job.seed}-{job.until}-{which}"
 
-        found = {(job.kind, job.seed): ValidationRun.of_row(rows[key(job)]) for job in jobs if key(job) in rows}
+        found = {
+            (job.kind, job.seed): self.store.read(key(job), ValidationRun.of_row)
+            for job in jobs
+            if self.store and key(job) in self.store.rows
+        }
         words = f"{controller.policy.stem} {DETECTORS.label(controller.detector)} {', '.join(counts)}"
         done = self.pool.run(run_validation, [job for job in jobs if (job.kind, job.seed) not in found])
         with tqdm(total=len(jobs), initial=len(found), desc=words, unit="episode", leave=False, disable=None) as bar:

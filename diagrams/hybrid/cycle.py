@@ -149,7 +149,6 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
     """
     require_reports(returned, resumed)
     require_rows(rows)
-    rule = resumed["rules"][resumed["rule"]]
     ours = [
         row for row in rows
         if (row["weights_hash"], row["encoder_hash"]) == (resumed["policy"], resumed["encoder_hash"])
@@ -166,7 +165,7 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
             "the sweep has no undisturbed, or no disturbed, episodes of the network that `resume` looked at: run "
             "diagrams/sweep.py with it under --disturbance none A B"
         )
-    arrows = _arrows(returned, rule, resumed["by_scene"][resumed["rule"]], undisturbed, disturbed)
+    arrows = _arrows(returned, resumed, undisturbed, disturbed)
     dwell, certificate_holds = _dwell(returned, disturbed), holds(returned)
     noticed = [row for row in disturbed if row["detection_delay_s"] is not None]
     home = [row for row in noticed if row["returned"]]
@@ -217,17 +216,19 @@ def _against(
 
 def _arrows(
     returned: dict[str, Any],
-    rule: dict[str, Any],
-    scenes: dict[str, Any],
+    resumed: dict[str, Any],
     undisturbed: Sequence[dict[str, Any]],
     disturbed: Sequence[dict[str, Any]],
 ) -> list[dict[str, Any]]:
-    """Each arrow once: its counts, and the bound that they allow; `rule`, `scenes`: of resume.json."""
-    sets, kinds, draws = returned["sets"], list(rule.values()), returned["draws"]
+    """Each arrow once: its counts, and the bound that they allow; see `report`."""
+    sets, kinds, draws = returned["sets"], list(resumed["rules"][resumed["rule"]].values()), returned["draws"]
     finished = [entry["finished"] for entry in kinds if entry["finished"] is not None]
-    resumed = [row for row in disturbed if row["resumed"]]
+    resumption, subtasks = resumed["by_scene"][resumed["rule"]], resumed["finished_by_scene"]
+    closed_again = [row for row in disturbed if row["resumed"]]
     starts, late = (sum(entry[name] for entry in kinds) for name in ("samples", "not_resumed"))
+    ends, undone = (sum(entry[name] for entry in finished) for name in ("samples", "failures"))
     require_counts("starts of resume.json", late, starts)
+    require_counts("subtasks of resume.json", undone, ends)
 
     def count(rows: Sequence[dict[str, Any]], wrong: Callable[[dict[str, Any]], bool]) -> tuple[int, int]:
         return len(rows), sum(map(wrong, rows))
@@ -245,12 +246,12 @@ def _arrows(
          (returned["samples_inside"], sets["box"]["all"]["failed_or_touched"]),
          f"postures uniform in the box: home, nothing touched {BY}"),
         ("reset and resumption", "home", "task",
-         (scenes["samples"], scenes["failures"]),
+         (resumption["samples"], resumption["failures"]),
          f"scenes: from each of the starts at home there alpha falls within 6 s ({late} of {starts} starts fail)"),
         ("subtask", "task", "task",
-         (sum(entry["samples"] for entry in finished), sum(entry["failures"] for entry in finished)),
-         "starts that resumed, one a scene and kind: the subtask is done"),
-        ("no later switch", "task", "task", count(resumed, lambda row: row["later_switches"] > 0),
+         (subtasks["samples"], subtasks["failures"]),
+         f"scenes: after each of the starts that was run to its end the subtask is done ({undone} of {ends} are not)"),
+        ("no later switch", "task", "task", count(closed_again, lambda row: row["later_switches"] > 0),
          "disturbed episodes of the sweep that resumed"),
     )  # fmt: skip
     for name, _, _, (n, failures), _ in entries:

@@ -48,7 +48,7 @@ RETURNED = {
 }  # fmt: skip
 FINISHED = {"samples": SOME, "failures": COUNT}
 RESUMED = {
-    "policy": WORD, "encoder_hash": WORD, "rule": WORD, "by_scene": {"*": FINISHED},
+    "policy": WORD, "encoder_hash": WORD, "rule": WORD, "by_scene": {"*": FINISHED}, "finished_by_scene": FINISHED,
     "rules": {"*": {"*": {"samples": SOME, "not_resumed": COUNT}}},
 }  # fmt: skip
 ROW = {"way_home_m": NUMBER_OR_NONE} | dict.fromkeys(("detection_delay_s", "return_s", "resume_s"), SECONDS)

@@ -47,7 +47,7 @@ class Defeat(NetworkArguments):
     repetitions: int = 4  # independent, beside the pilot, for the interval
     brute: int = 0  # episodes of brute force, a kind; 0: none
     branch: bool = True  # begin episodes of a known scene with a clone of its undisturbed ticks
-    workers: int = 2
+    workers: int = 2  # processes; 0: this one
 
     NAME: ClassVar[str] = "defeat"
     RANGES: ClassVar[dict[str, Range]] = {
@@ -78,7 +78,8 @@ class Defeat(NetworkArguments):
             for kind in self.kinds:
                 found[kind] = self._of_kind(kind, world, cases, policy.name)
         sizes = {name: getattr(self, name) for name in ("population", "kept", "moves", "repetitions")}
-        self.write(sizes | {"kinds": {kind: entry["report"] for kind, entry in found.items()}})
+        made_with = {"fingerprint": identity, "policy": policy.hash, "encoder_hash": encoder.hash}
+        self.write(made_with | sizes | {"kinds": {kind: entry["report"] for kind, entry in found.items()}})
         save_defeat(found, self.out / "defeat.png")
         for kind, entry in found.items():
             print(words(kind, entry["report"]))
@@ -107,6 +108,8 @@ class Defeat(NetworkArguments):
             "counterexamples": [plain(case) for case in defeats],
             **clusters(defeats, drawn),
         }
+        for stale in self.out.glob(f"defeat-{kind}-*.yaml"):  # of an earlier run, which may have found more
+            stale.unlink()
         for number, cluster in enumerate(result["clusters"], start=1):
             case = defeats[cluster["example"]]
             cluster["file"] = f"defeat-{kind}-{number}.yaml"

@@ -80,7 +80,7 @@ class Cases:
         for (job, _, _), case in self._pool.run(run_case, [self._of(episode) for episode in new.values()]):
             self._store.add(repr(job.episode), asdict(case))
             bar.update()
-        return [Case.of_row(self._store.rows[repr(episode)]) for episode in episodes]
+        return [self._store.read(repr(episode), Case.of_row) for episode in episodes]
 
     def again(self, case: Case) -> bool:
         """Whether the whole episode, from tick 0, gives the bits of `case`."""

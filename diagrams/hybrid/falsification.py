@@ -31,7 +31,7 @@ class Falsify(NetworkArguments):
 
     trials: int = 100  # simulated, a sampler; with more of them a search goes on from what is in --out
     scenes: int = 4  # validation scenes among which it chooses
-    workers: int = 2
+    workers: int = 2  # processes; 0: this one
 
     NAME: ClassVar[str] = "falsify"
     RANGES: ClassVar[dict[str, Range]] = {
@@ -85,7 +85,8 @@ class Falsify(NetworkArguments):
             for (name, case), (outcome, record) in zip(cases.items(), again, strict=True)
         }  # fmt: skip
         undisturbed = [outcome.success for outcome, _ in nominal]
-        self.write(result | {"undisturbed_success": undisturbed, "replayed": replayed})
+        made_with = {"fingerprint": identity, "policy": policy.hash, "encoder_hash": encoder.hash}
+        self.write(made_with | result | {"undisturbed_success": undisturbed, "replayed": replayed})
         save_search(result["all_trials"], self.out / "falsify.png")
         for name in found:
             first, trials, smallest = (result[key][name] for key in ("trials_to_first", "trials", "smallest_magnitude"))

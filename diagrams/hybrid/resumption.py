@@ -1,16 +1,16 @@
 """The region of resumption: from which states the loop closes again within 6 s, and the subtask is done.
 
 Starts are sampled in the whole system (resumption_starts.py), under both rules by which the network comes back at home:
-it starts anew, or has imagined its way to the end. V (resumption_time.py) says of each start, from the network alone,
+it starts anew, or has imagined its way to the end. T (resumption_time.py) says of each start, from the network alone,
 when it resumes; its largest level from which all starts have resumed in the whole system is the region. Disturbed runs
-of their own test it: V where each arm came home says which of them will not resume in time.
+of their own test it: T where each arm came home says which of them will not resume in time.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,12 +19,20 @@ from diagrams.episodes.pool import MOST_WORKERS, Pool, kept_in_thread
 from diagrams.episodes.runner import Job, build_rollout, run_episode
 from diagrams.episodes.sampling import SEED_BLOCKS, EpisodeSampler, episode_seeds
 from diagrams.episodes.store import RowStore
-from diagrams.episodes.switching import RESUME_SECONDS
 from diagrams.hybrid.box_gauge import BoxGauge
 from diagrams.hybrid.common import NetworkArguments, fingerprint_with_analyses
+from diagrams.hybrid.resumption_report import (
+    Row,
+    RunRow,
+    by_scene,
+    finished_by_scene,
+    followed_ticks,
+    judge,
+    judge_runs,
+    words,
+)
 from diagrams.hybrid.resumption_starts import KINDS, Memory, Resumptions, Start, way_home
 from diagrams.hybrid.resumption_time import time_to_resume
-from diagrams.hybrid.return_proof import bound
 from diagrams.world.configuration import RESUMPTIONS, World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.task import HOME_TOLERANCE
@@ -33,7 +41,6 @@ from models.errors import InputError
 
 STARTS_A_SCENE = 15  # of a kind
 FINISH_SECONDS = 30.0  # that a subtask has
-PATIENCE = 2.0  # starts are followed for so many times RESUME_SECONDS
 MOST_SCENES = 5000  # the seeds after them are of the disturbed runs
 
 
@@ -44,7 +51,7 @@ class Resume(NetworkArguments):
     starts: int = 3000  # of each kind, under the world's rule
     compared: int = 300  # of these, which are run under the other rule too
     runs: int = 200  # disturbed ones, half of them A
-    workers: int = 2
+    workers: int = 2  # processes; 0: this one
 
     NAME: ClassVar[str] = "resume"
     RANGES: ClassVar[dict[str, Range]] = {
@@ -75,13 +82,14 @@ class Resume(NetworkArguments):
                 "fingerprint": fingerprint_with_analyses(world), "policy": policy.hash, "encoder_hash": encoder.hash,
                 "rule": world.resumption, "scenes": scenes, "rules": rules,
                 "by_scene": {rule: by_scene([row for row in rows if row.rule == rule], period) for rule in rules},
+                "finished_by_scene": finished_by_scene(rows),
                 "worst_ticks": worst, "runs": judge_runs(runs, period),
             }  # fmt: skip
             self.write(found)
             save_resumption([asdict(row) for row in rows], period, self.out / "resume.png")
             path.unlink(missing_ok=True)  # it is for a run that is broken off; while no other program can open it
         for rule, kind in product(rules, KINDS):
-            print(_words(rule, kind, rules[rule][kind]))
+            print(words(rule, kind, rules[rule][kind]))
         print(f"starting anew from the farthest posture at home takes {worst} ticks; disturbed runs: {found['runs']}")
         return 1 if any(entry["not_resumed"] for entry in rules[world.resumption].values()) else 0
 
@@ -100,7 +108,7 @@ class Resume(NetworkArguments):
                 for given, found in pool.run(run_scene, missing):
                     store.add(given.key, [asdict(row) for row in found])
                     bar.update(min(sum(row.rule == own for row in found), bar.total - bar.n))
-                done.extend([Row(**row) for row in store.rows[given.key]] for given in jobs)
+                done.extend(store.read(given.key, lambda rows: [Row(**row) for row in rows]) for given in jobs)
                 bar.n = sum(
                     min(count, self.starts) for count in counts(done, own)
                 )  # what is too much of a kind is left out
@@ -146,7 +154,7 @@ class Resume(NetworkArguments):
             for given, found in pool.run(run_disturbed, missing):
                 store.add(f"run {given.seed}", asdict(found))
                 bar.update()
-        return [RunRow(**store.rows[f"run {given.seed}"]) for given in jobs]
+        return [store.read(f"run {given.seed}", lambda row: RunRow(**row)) for given in jobs]
 
 
 def counts(scenes: list[list["Row"]], rule: str) -> list[int]:
@@ -169,33 +177,6 @@ class SceneJob:
         return f"scene {self.job.seed} {' '.join(self.rules)}"
 
 
-@dataclass(frozen=True)
-class Row:
-    """What came of a start."""
-
-    scene: int  # seed of its episode
-    rule: str  # of RESUMPTIONS
-    kind: str  # of KINDS
-    left: int  # ticks of its subtask that the network had still to imagine
-    foretold: int | None  # V; None: more than the ticks that are followed
-    resumed: int | None  # ticks; None: as above
-    done: bool | None  # the subtask; None: not looked at, or not resumed
-
-
-@dataclass(frozen=True)
-class RunRow:
-    """What came of a disturbed run."""
-
-    came_home: bool  # as the switching asks for
-    foretold: int | None = None  # V at the first tick at home
-    resumed: int | None = None  # ticks from there
-
-    @classmethod
-    def none(cls) -> Self:
-        """Of a run whose arm did not come home, or that was not disturbed."""
-        return cls(False)
-
-
 def run_scene(given: SceneJob) -> list[Row]:
     """In a worker: the starts of a scene; none of a kind whose subtask fails undisturbed."""
     job = given.job
@@ -211,7 +192,7 @@ def run_scene(given: SceneJob) -> list[Row]:
     policy, period = system.rollout.policy, world.timing.period
     points, monitor = system.switching_points(sampler.sample(job.seed, "none", rnn=policy.name))
     by_subtask = {point.subtask: point for point in points}
-    limit, found = _followed(period), list[Row]()
+    limit, found = followed_ticks(period), list[Row]()
     for number, (kind, (subtask, _)) in enumerate(KINDS.items()):
         point = by_subtask.get(subtask)
         rng = np.random.default_rng([given.seed, job.seed, number])
@@ -229,7 +210,7 @@ def run_scene(given: SceneJob) -> list[Row]:
 
 
 def run_disturbed(job: Job) -> RunRow:
-    """In a worker: a disturbed run, and V of where its arm came home."""
+    """In a worker: a disturbed run, and T of where its arm came home."""
     from models.inference import Policy
 
     outcome, record = run_episode(job)
@@ -237,7 +218,7 @@ def run_disturbed(job: Job) -> RunRow:
     if outcome.return_s is None or not len(active):
         return RunRow.none()
     policy = kept_in_thread(("policy", job.controller.policy), lambda: Policy(job.controller.policy))
-    period, limit = job.world.timing.period, _followed(job.world.timing.period)
+    period, limit = job.world.timing.period, followed_ticks(job.world.timing.period)
     home = int(active[-1]) + 1 + round(outcome.return_s / period)
     # What the network held at the tick: of the tick before, which it stepped, since the arm was not at home yet.
     before = home - 1
@@ -251,96 +232,12 @@ def run_disturbed(job: Job) -> RunRow:
 
 
 def worst_ticks(policy, world: World) -> int | None:
-    """V of a network that starts anew where every joint is as far off as can be at home: none at home takes longer.
+    """T of a network that starts anew where every joint is as far off as can be at home: none at home takes longer.
 
     The recall's errors are sums of squares of the joints' deviations. None: more than the ticks that are followed.
     """
-    gain, limit = BoxGauge.of(world).gain, _followed(world.timing.period)
+    gain, limit = BoxGauge.of(world).gain, followed_ticks(world.timing.period)
     rows = way_home(policy, np.full(ARM_JOINTS, HOME_TOLERANCE), gain)
     far_off = np.ones((policy.horizon, policy.posture_size))
     elsewhere = Memory(np.zeros(policy.state_size), np.ones(policy.posture_size), far_off)
     return time_to_resume(policy, elsewhere, rows, gain, limit, reset=True)
-
-
-def _followed(period: float) -> int:
-    return round(PATIENCE * RESUME_SECONDS / period)
-
-
-def judge(rows: Sequence[Row], period: float) -> dict[str, Any]:
-    """The report of the starts of one kind and rule, plain types; `period`: of the ticks, s."""
-    limit = round(RESUME_SECONDS / period)
-    followed = _followed(period) + 1  # stands for None
-    predicted = np.array([followed if row.foretold is None else row.foretold for row in rows], int)
-    measured = np.array([followed if row.resumed is None else row.resumed for row in rows], int)
-    failed, foretold = measured > limit, predicted > limit
-    # The largest level below all starts that failed.
-    lowest = int(predicted[failed].min()) if failed.any() else followed
-    inside = predicted <= min(limit, lowest - 1)
-    seconds = measured[~failed] * period
-    done = [row.done for row in rows if row.done is not None]
-    off, left = np.abs(predicted - measured), np.array([row.left for row in rows])
-    both = (predicted < followed) & (measured < followed)
-    return {
-        "samples": len(rows),
-        "not_resumed": int(failed.sum()),
-        "bound": bound(int(failed.sum()), len(rows)),
-        "scenes": by_scene(rows, period),
-        "foretold": int(foretold.sum()),
-        "foretold_wrongly": int((foretold != failed).sum()),
-        "largest_error_ticks": int(off[both].max(initial=0)),
-        "level_ticks": int(predicted[inside].max()) if inside.any() else None,
-        "inside": int(inside.sum()),
-        "inside_bound": bound(0, int(inside.sum())) if inside.any() else 1.0,
-        "left_to_imagine_s": {
-            "resumed": float(np.median(left[~failed]) * period) if (~failed).any() else None,
-            "not_resumed": float(np.median(left[failed]) * period) if failed.any() else None,
-        },
-        "time_s": {
-            "median": float(np.median(seconds)), "p95": float(np.quantile(seconds, 0.95)), "max": float(seconds.max()),
-        } if len(seconds) else None,
-        "finished": {
-            "samples": len(done), "failures": len(done) - sum(done), "bound": bound(len(done) - sum(done), len(done)),
-        } if done else None,
-    }  # fmt: skip
-
-
-def by_scene(rows: Sequence[Row], period: float) -> dict[str, Any]:
-    """Scenes, and how many have a start that does not resume in time; plain types.
-
-    Starts of one scene share its picture: the bound of scenes asks no more than that scenes are independent.
-    """
-    limit, n = round(RESUME_SECONDS / period), len({row.scene for row in rows})
-    lost = len({row.scene for row in rows if row.resumed is None or row.resumed > limit})
-    return {"samples": n, "failures": lost, "bound": bound(lost, n)}
-
-
-def judge_runs(rows: Sequence[RunRow], period: float) -> dict[str, Any]:
-    """The report of the disturbed runs, plain types; `period`: of the ticks, s."""
-    limit, home = round(RESUME_SECONDS / period), [row for row in rows if row.came_home]
-    foretold = [row.foretold is None or row.foretold > limit for row in home]
-    failed = [row.resumed is None or row.resumed > limit for row in home]
-    off = [abs(row.foretold - row.resumed) for row in home if row.foretold is not None and row.resumed is not None]
-    return {
-        "samples": len(rows),
-        "came_home": len(home),
-        "foretold": sum(foretold),
-        "not_resumed": sum(failed),
-        "foretold_wrongly": sum(a != b for a, b in zip(foretold, failed, strict=True)),
-        "largest_error_ticks": max(off, default=0),
-        "bound": bound(sum(failed), len(home)) if home else 1.0,
-    }
-
-
-def _words(rule: str, kind: str, found: dict[str, Any]) -> str:
-    """The report of a rule and a kind of starts, in words."""
-    time, done = found["time_s"], found["finished"]
-    text = (
-        f"{rule}, {kind}: {found['not_resumed']} of {found['samples']} starts do not resume within "
-        f"{RESUME_SECONDS:g} s (95 % bound {found['bound']:.1e}), {found['foretold']} were foretold, "
-        f"{found['foretold_wrongly']} wrongly; all {found['inside']} with V up to {found['level_ticks']} ticks resume"
-    )
-    if time is not None:
-        text += f"; after {time['median']:.1f} s (median), {time['max']:.1f} s at most"
-    if done is not None:
-        text += f"; {done['failures']} of {done['samples']} subtasks not done"
-    return text

@@ -1,9 +1,9 @@
 """The time to resume, as a Lyapunov function of mode `return` with the arm at home.
 
 There the network runs on its own predictions, which nothing outside has a say in, or is in its initial state, and the
-arm goes home by the LQR: the state one tick later is a function of the state. So V, the ticks that are left until alpha
+arm goes home by the LQR: the state one tick later is a function of the state. So T, the ticks that are left until alpha
 falls, is known for each state by stepping the network alone, and falls by one a tick: the region of resumption within a
-time is a sublevel set of V. It idealises the servo, and the few ticks with alpha between its low value and 1.
+time is a sublevel set of T. It idealises the servo, and the few ticks with alpha between its low value and 1.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from systems.recall_detector import recall_errors
 
 
 def time_to_resume(policy, memory: Memory, rows: np.ndarray, gain: float, limit: int, reset: bool) -> int | None:
-    """V, ticks, of a network with `memory` and an arm whose joints are and were `rows`; None: more than `limit`.
+    """T, ticks, of a network with `memory` and an arm whose joints are and were `rows`; None: more than `limit`.
 
     Args:
         policy: see models/inference.py, calibrated for the recall.

@@ -23,7 +23,7 @@ from diagrams.hybrid.common import Arguments, fingerprint_with_analyses
 from diagrams.hybrid.delay_margin import delay_margin, measured_delay_margin
 from diagrams.hybrid.return_loop import Trajectory
 from diagrams.hybrid.return_promise import SAFETY_FACTOR, Promise
-from diagrams.hybrid.return_proof import DRAWN, KINDS, holds, judge, of_draws, total
+from diagrams.hybrid.return_proof import DRAWN, KINDS, LEAST_DISTANCE, holds, judge, of_draws, total
 from diagrams.hybrid.return_samples import Sample, box_samples, drawn_samples
 from diagrams.hybrid.return_trajectories import trajectories_home
 from diagrams.world.configuration import World
@@ -41,7 +41,7 @@ class Return(Arguments):
 
     samples: int = 10_000  # postures of the proof, uniform in the box
     draws: int = 1000  # episodes whose onset posture and target of disturbance A are looked at, and simulated
-    workers: int = 2
+    workers: int = 2  # processes; 0: this one
 
     NAME: ClassVar[str] = "return"
     RANGES: ClassVar[dict[str, Range]] = {
@@ -159,15 +159,18 @@ def _words(found: dict[str, Any]) -> str:
     lines = [
         f"inside the box: {found['coverage_onsets']:.1%} of the onset postures, {found['coverage_targets']:.1%} of A's "
         f"targets, of {found['draws']} episodes",
-        f"{found['failures_inside']} of {found['samples_inside']} fail to come home (95 % bound "
+        f"{found['failures_inside']} of {found['samples_inside']} postures of the box fail to come home (95 % bound "
         f"{found['bound_inside']:.2e}); {found['touches_inside']} touch something, {nearest}",
     ]
     for kind, found_here in found["sets"].items():
         free, everything = found_here["free"], found_here["all"]
         lines.append(
             f"{kind}: of {everything['samples']} ways {everything['failures']} fail, {everything['left_box']} leave "
-            f"the box, {everything['touches']} touch something; of the {free['samples']} that are the LQR's alone "
-            f"{free['later_than_certified']} come later than certified ({found_here['time_home_certified_s']:.1f} s); "
+            f"the box, {everything['touches']} touch something, {everything['nearer']} come nearer than "
+            f"{1e3 * LEAST_DISTANCE:g} mm (95 % bound {everything['bounds']['nearer']:.2e}), "
+            f"{everything['later_than_certified']} come later than certified; of the {free['samples']} that are the "
+            f"LQR's alone {free['later_than_certified']} come later than certified "
+            f"({found_here['time_home_certified_s']:.1f} s); "
             f"V shrinks by {free['contraction_first_measured']:.4f} in the first tick (certified "
             f"{found_here['contraction_first']:.4f}), then {free['contraction_rate_measured']:.4f} (certified "
             f"{found_here['contraction_rate']:.4f})"

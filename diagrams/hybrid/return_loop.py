@@ -1,6 +1,7 @@
 """The closed loop in mode `return` on the full plant: servo, effort limits, gravity, contact; no camera, no network."""
 
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from pydrake.multibody.math import SpatialVelocity
@@ -60,6 +61,19 @@ class Trajectory:
     filtered: int  # ticks in which the filter changed the step
     slip: float | None = None  # of the held can in the hand, m; None: there is none
     broke_off: str | None = None  # what Drake said where the simulation diverged
+
+    def row(self) -> list[Any]:
+        """Plain types, for a store."""
+        return [self.rows.tolist(), *list(vars(self).values())[1:]]
+
+    @classmethod
+    def of_row(cls, row: list[Any]) -> Self:
+        """From what `row` gave; raises ValueError, TypeError where it is something else."""
+        rows, *others = row
+        found = cls(np.array(rows, float).reshape(-1, ARM_JOINTS), *others)
+        if not len(found.rows) or not all(isinstance(v, float | int | None) for v in (found.nearest, found.slip)):
+            raise ValueError("no way home")
+        return found
 
     def arrival(self, home: np.ndarray) -> int:
         """First tick at which every joint is at `home` (7, rad); -1 without one, or where the simulation broke off."""

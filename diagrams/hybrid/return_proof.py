@@ -48,6 +48,7 @@ def judge(
     held = np.array([sample.held for sample in samples], bool)
     dropped = np.array([way.dropped for way in ways], bool)
     touched = np.array([way.touches for way in ways], bool)
+    near = np.array([way.nearest is not None and way.nearest < LEAST_DISTANCE for way in ways], bool)
     arrivals = np.array([way.arrival(home) for way in ways], int)
     certified = promise.ticks_home(at_home)
     found = arrivals[arrivals >= 0]
@@ -59,7 +60,8 @@ def judge(
             "failures": int(np.sum(when < 0)),
             "left_box": sum(bool(x.max() > 1.0 + V_TOLERANCE * at_home) for x in v),
             "later_than_certified": int(np.sum((when < 0) | (when > certified))),
-            "touches": sum(way.touches for way, take in zip(ways, chosen, strict=True) if take),
+            "touches": int(np.sum(touched[chosen])),
+            "nearer": int(np.sum(near[chosen])),  # than LEAST_DISTANCE, those that touch too
             "failed_or_touched": int(np.sum(((arrivals < 0) | touched)[chosen])),
         }
         return {
@@ -110,16 +112,17 @@ def of_draws(levels: Sequence[np.ndarray], ways: Sequence[Sequence[Trajectory]],
 
 
 def total(sets: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """What is said of the box as a whole: of the postures that are uniform in it, and of what any way came near to."""
-    box, nearest = sets["box"], [found["nearest_distance_m"] for found in sets.values()]
+    """What is said of the box as a whole: of the postures that are uniform in it."""
+    box = sets["box"]
     everything, free = box["all"], box["free"]
     return {
         "samples_inside": everything["samples"],
         "failures_inside": everything["failures"],
         "bound_inside": everything["bounds"]["failures"],
         "left_box_inside": everything["left_box"],
-        "touches_inside": sum(found["all"]["touches"] for found in sets.values()),
-        "nearest_distance_m": min((metres for metres in nearest if metres is not None), default=None),
+        "touches_inside": everything["touches"],
+        "nearer_inside": everything["nearer"],
+        "nearest_distance_m": box["nearest_distance_m"],
         "broke_off": [words for found in sets.values() for words in found["broke_off"]],
         "contraction_rate": box["contraction_rate"],
         "contraction_rate_measured": free["contraction_rate_measured"],

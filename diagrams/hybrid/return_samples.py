@@ -88,5 +88,10 @@ def drawn_samples(
         for (_, seed), pair in pool.run(run_draw, missing):
             store.add(key(seed), [asdict(sample) for sample in pair])
             bar.update()
-    pairs = [[Sample.of(row) for row in store.rows[key(seed)]] for seed in seeds]
+
+    def pair_of(rows: list[dict[str, Any]]) -> tuple[Sample, Sample]:
+        onset, target = map(Sample.of, rows)
+        return onset, target
+
+    pairs = [store.read(key(seed), pair_of) for seed in seeds]
     return [onset for onset, _ in pairs], [target for _, target in pairs]

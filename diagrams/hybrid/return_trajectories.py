@@ -24,6 +24,6 @@ def trajectories_home(world: World, samples: list[Sample], pool: Pool, store: Ro
     known = len(samples) - len(missing)
     with tqdm(total=len(samples), initial=known, desc=title, unit="posture", disable=None) as bar:
         for (_, sample), found in pool.run(run_job, missing):
-            store.add(sample.key, [found.rows.tolist(), *list(vars(found).values())[1:]])
+            store.add(sample.key, found.row())
             bar.update()
-    return [Trajectory(np.array(rows), *others) for rows, *others in (store.rows[sample.key] for sample in samples)]
+    return [store.read(sample.key, Trajectory.of_row) for sample in samples]

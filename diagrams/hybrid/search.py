@@ -112,7 +112,7 @@ def search_all(
         def known_or_run(number: int, perturbation: Perturbation) -> Trial:
             key = repr(perturbation)
             new = key not in store.rows
-            trial = run(perturbation) if new else Trial.of_row(store.rows[key])
+            trial = run(perturbation) if new else store.read(key, Trial.of_row)
             with lock:
                 if new:
                     store.add(key, asdict(trial))

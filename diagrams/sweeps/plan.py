@@ -41,7 +41,7 @@ class SweepArguments:
     stop_when_decided: bool = False  # of two controllers: no more of a disturbance whose tasks tell them apart
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
     world: Path | None = None  # YAML file of the world, over the default one
-    workers: int = field(default_factory=cores)  # processes of this machine
+    workers: int = field(default_factory=cores)  # processes of this machine; 0: this one
     scheduler: str | None = None  # address of a running Dask cluster, tcp:// or tls://...; its own workers are used
     tls_ca: Path | None = None  # for tls://: file of the authority that signed the cluster's certificates, PEM
     tls_cert: Path | None = None  # and of the certificate that this program shows

@@ -116,3 +116,13 @@ def test_the_fingerprint_knows_world_and_code(tmp_path):
     RowStore(path, first).__exit__()
     with pytest.raises(InputError, match=r"another world.timing.time_step \(0.0125, now 0.00625\)"):
         RowStore(path, other)
+
+
+@pytest.mark.parametrize("row", [[1], {"b": 2}, None, "a"])
+def test_a_row_of_another_kind_is_named(tmp_path, row):
+    with RowStore(tmp_path / "rows.jsonl", IDENTITY, "--there") as store:
+        store.add("one", row)
+        store.add("two", {"a": 2})
+        assert store.read("two", lambda found: found["a"]) == 2
+        with pytest.raises(InputError, match=r"rows.jsonl is damaged in the row one: .*another --there"):
+            store.read("one", lambda found: found["a"])

@@ -48,6 +48,7 @@ RESUMED = {
     "policy": "ours",
     "encoder_hash": "eyes",
     "by_scene": {"reset": {"samples": 200, "failures": 0}, "imagined": {"samples": 200, "failures": 90}},
+    "finished_by_scene": {"samples": 30, "failures": 1},
     "rule": "reset",
     "rules": {
         "reset": {"pick": entry(1500, 0, 30, 0), "place": entry(1500, 0, 30, 1)},
@@ -98,7 +99,7 @@ def test_arrows_by_hand():
         "way home": (0, 50),
         "way home, anywhere in the box": (0, 300),
         "reset and resumption": (0, 200),
-        "subtask": (1, 60),
+        "subtask": (1, 30),
         "no later switch": (1, 10),
     }
     assert arrows["reset and resumption"]["bound"] == pytest.approx(1.0 - 0.05 ** (1.0 / 200))
@@ -251,6 +252,7 @@ def test_program(tmp_path, capsys, world):
     assert "warning: the reports differ in code: the world" in said.err
     (tmp_path / "return.json").write_text(json.dumps(RETURNED | {"fingerprint": own, "draws_outside": 0}))
     calm = RESUMED | {"fingerprint": own, "rules": {"reset": {"pick": entry(15, 0, 1, 0)}}}
+    calm["finished_by_scene"] = {"samples": 1, "failures": 0}
     (tmp_path / "resume.json").write_text(json.dumps(calm))
     pd.DataFrame([row("none"), row("A")]).to_parquet(tmp_path / "episodes.parquet")
     assert analysis.main(analysis.parse(asked)) == 0

@@ -173,10 +173,14 @@ def test_a_blind_controller_is_defeated_by_everything(tmp_path, monkeypatch):
     assert len(found["counterexamples"]) == found["episodes"] == 12
     assert (out / "defeat.png").is_file()
     assert load_scenario(out / found["clusters"][0]["file"]).disturbance.kind == "B"
-    rows = (out / "defeat_cases.jsonl").read_bytes()
+    rows, stale = (out / "defeat_cases.jsonl").read_bytes(), out / "defeat-B-9.yaml"
+    stale.write_text("of an earlier run")
     assert analysis.main(analysis.parse(["defeat", *asked])) == 0  # nothing is run again
     assert (out / "defeat_cases.jsonl").read_bytes() == rows
-    assert json.loads((out / "defeat.json").read_text())["kinds"]["B"] == found
+    again = json.loads((out / "defeat.json").read_text())
+    assert again["kinds"]["B"] == found
+    assert again["policy"] == again["fingerprint"]["weights"]
+    assert not stale.exists()
 
 
 class _Early:

@@ -1,4 +1,4 @@
-"""The region of resumption: the report by hand, V against the whole system, and the program."""
+"""The region of resumption: the report by hand, T against the whole system, and the program."""
 
 import json
 from dataclasses import replace
@@ -10,19 +10,11 @@ from diagrams import analysis
 from diagrams.episodes.calibration import Controller, stored_calibration
 from diagrams.episodes.runner import Job, build_rollout
 from diagrams.episodes.sampling import EpisodeSampler
-from diagrams.hybrid.resumption import (
-    Resume,
-    Row,
-    RunRow,
-    SceneJob,
-    judge,
-    judge_runs,
-    run_disturbed,
-    run_scene,
-    worst_ticks,
-)
+from diagrams.hybrid.resumption import Resume, SceneJob, run_disturbed, run_scene, worst_ticks
+from diagrams.hybrid.resumption_report import Row, RunRow, finished_by_scene, judge, judge_runs
 from diagrams.hybrid.resumption_starts import KINDS, Memory, Resumptions, Start
 from diagrams.hybrid.resumption_time import time_to_resume
+from diagrams.hybrid.return_proof import bound
 from diagrams.world.configuration import RESUMPTIONS, World
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.task import HOME_TOLERANCE, lifted
@@ -63,6 +55,13 @@ def test_judge_of_starts_that_all_fail():
     assert found["finished"] is None
 
 
+def test_scenes_whose_subtask_is_not_done_are_counted_once():
+    rows = [row(1, 1, done=True, scene=1), row(1, 1, done=False, scene=1), row(1, 1, done=False, scene=1)]
+    rows += [row(1, 1, done=True, scene=2), row(1, 1, scene=3)]
+    assert finished_by_scene(rows) == {"samples": 2, "failures": 1, "bound": bound(1, 2)}
+    assert finished_by_scene([row(1, 1)]) is None
+
+
 def test_disturbed_runs_by_hand():
     rows = [RunRow(True, 20, 22), RunRow(True, 70, None), RunRow(True, 20, None), RunRow.none()]
     found = judge_runs(rows, 0.1)
@@ -88,19 +87,19 @@ class Imagining:
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 7])
-def test_v_by_hand_is_what_the_network_has_left_to_imagine(ticks):
+def test_t_by_hand_is_what_the_network_has_left_to_imagine(ticks):
     policy = Imagining()
     at_home = np.zeros((HORIZON + 2, 7))
     assert time_to_resume(policy, policy.memory(ticks), at_home, 0.1, 20, reset=False) == ticks
     assert time_to_resume(policy, policy.memory(ticks), at_home, 0.1, 20, reset=True) == (HORIZON + 1 if ticks else 0)
 
 
-def test_v_is_none_beyond_the_limit():
+def test_t_is_none_beyond_the_limit():
     policy = Imagining()
     assert time_to_resume(policy, policy.memory(9), np.zeros((HORIZON + 2, 7)), 0.1, 8, reset=False) is None
 
 
-def test_v_by_hand_of_an_arm_on_its_way():
+def test_t_by_hand_of_an_arm_on_its_way():
     """All joints off by 0.5, the error allowed is 0.2 (4 mean errors of 0.01): the slowest criterion is n = 2."""
     policy = Imagining()
     rows = np.tile(0.5 / 0.9 ** np.arange(HORIZON + 2)[:, None], (1, 7))
@@ -110,7 +109,7 @@ def test_v_by_hand_of_an_arm_on_its_way():
 
 
 def test_falls_by_one_a_tick():
-    """V is a Lyapunov function: one tick later one tick less is left."""
+    """T is a Lyapunov function: one tick later one tick less is left."""
     policy, home = Imagining(), np.zeros((HORIZON + 2, 7))
     memory = policy.memory(9)
     for left in range(9, -1, -1):
@@ -156,7 +155,7 @@ def test_real_start_has_the_can_in_the_hand_and_the_arm_on_its_way():
     assert cans[4:6] == pytest.approx(taken.can_xy, abs=2e-3)
 
 
-def test_real_v_falls_by_one_a_tick_in_the_whole_system():
+def test_real_t_falls_by_one_a_tick_in_the_whole_system():
     """And the system resumes when it is 0."""
     rollout = build_rollout(World(resumption="reset"), WEIGHTS / ENCODER, Controller(WEIGHTS / "lstm.onnx"))
     system = Resumptions(rollout, stored_calibration("recall", rollout.policy, WEIGHTS))
