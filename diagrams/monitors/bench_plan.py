@@ -49,7 +49,7 @@ class BenchArguments:
     out: Path = Path("outputs/bench")  # folder of the rows, the fitted detectors, bench.parquet and summary.json
 
     def check(self) -> None:
-        """Raises InputError for a value outside its choices; of networks `copy_networks` does."""
+        """Raises InputError for a value outside its choices; of networks `load_networks` does."""
         for name in ("detectors", "faults", "severities", "training_seeds", "recoveries"):
             if not getattr(self, name):
                 raise InputError(f"--{name.replace('_', '-')} names nothing: give one or more")
