@@ -190,7 +190,8 @@ def _check(arguments: BaselinesArguments) -> None:
         episode_seeds("validation", seed, 1)  # there are some
     if arguments.rule == "conformal" and arguments.seed in (0, arguments.fit_seed):
         raise InputError(
-            f"--seed {arguments.seed} is that of the fit, or the 0 that networks are selected on: gamma needs another"
+            f"--seed {arguments.seed} is that of the fit, or the 0 that networks are selected on: choose another for "
+            "--rule conformal"
         )
     if not 0.0 < arguments.delta < 1.0:
         raise InputError(f"--delta {arguments.delta} is no share: choose one between 0 and 1, such as 0.01")

@@ -86,7 +86,7 @@ class Crew:
         from diagrams.sweeps.cluster import DaskPool
 
         files = {path.name: path.read_bytes() for path in sorted(networks.iterdir()) if path.is_file()}
-        cluster = DaskPool(self._arguments.scheduler, files)
+        cluster = DaskPool(self._arguments.scheduler, files, self._arguments.tls)
         return cluster, cluster.with_files(run_bench_task)
 
 

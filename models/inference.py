@@ -17,7 +17,7 @@ from models.policy import Policy as OwnPolicy
 from models.policy import make_policy
 
 onnxruntime.set_default_logger_severity(4)  # what is wrong is raised; its allocator has no session's options
-CALIBRATE = "Calibrate it again with diagrams/calibrate.py"
+CALIBRATE = "Run diagrams/calibrate.py on it again"
 LARGEST_SIZE = 100_000  # of what goes into a graph or comes out
 BATCH = 64  # pictures that are encoded at once
 IMAGE_SIZE = 112  # width and height of a picture, pixels

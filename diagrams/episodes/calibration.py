@@ -126,7 +126,7 @@ def stored_calibration(detector: str, policy, folder: Path, gamma: float | None 
     if len(found["mean_errors"]) != criteria:
         raise WeightsError(
             path, f"has {len(found['mean_errors'])} mean_errors for {policy.name}, where the detector has {criteria}",
-            f"Calibrate it again with diagrams/{by}",
+            f"Run diagrams/{by} again",
         )  # fmt: skip
     return Calibration(tuple(found["mean_errors"]), found["beta"], found["gamma"] if gamma is None else gamma)
 

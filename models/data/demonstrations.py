@@ -128,9 +128,22 @@ def read_demonstrations(path: str | Path, split: str | None = None) -> list[Demo
             for name in sorted(splits, key=number_of)
             if split in (None, splits[name])
         ]
-    if not found:
-        raise DatasetError(f"{path}: holds no demonstration of split {split}")
+    _require_some(path, split, found)
     return found
+
+
+def read_both_splits(path: str | Path) -> list[Demonstration]:
+    """As `read_demonstrations`; raises DatasetError also where one of the splits has none."""
+    found = read_demonstrations(path)
+    for split in SPLITS:
+        _require_some(path, split, [demo for demo in found if demo.split == split])
+    return found
+
+
+def _require_some(path: str | Path, split: str | None, demos: list[Demonstration]) -> None:
+    if not demos:
+        what = "file" if split is None else f"split {split}"
+        raise DatasetError(f"{path}: the {what} has no demonstration: teach more (diagrams/teach.py, a larger --limit)")
 
 
 def _small(dataset: h5py.Dataset) -> h5py.Dataset:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from models.data.augmentation import Augmentation
-from models.data.demonstrations import Demonstration, content_of, read_demonstrations
+from models.data.demonstrations import Demonstration, content_of, read_both_splits
 from models.data.sequences import SequencePack, make_batch, run
 from models.errors import InputError
 from models.files.container import WeightsError, file_hash
@@ -115,7 +115,7 @@ def train_recall(options: RecallOptions) -> list[Path]:
     outs = [_out_of(options, given) for given in files]
     if twice := [given for given, out in zip(files, outs, strict=True) if outs.count(out) > 1]:
         raise InputError(f"--policy {' '.join(twice)} would be written to one file: give each with an --out of its own")
-    encoder, demos = Encoder(options.encoder), read_demonstrations(options.data)
+    encoder, demos = Encoder(options.encoder), read_both_splits(options.data)
     written = []
     for given in options.policy:
         path = Path(given)

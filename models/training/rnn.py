@@ -11,7 +11,7 @@ import tyro
 from torch import Tensor
 
 from models.data.augmentation import Augmentation
-from models.data.demonstrations import Demonstration, content_of, read_demonstrations, read_header, subtask_ranges
+from models.data.demonstrations import Demonstration, content_of, read_both_splits, read_header, subtask_ranges
 from models.data.scaling import MinMaxScaling
 from models.data.sequences import Batch, SequencePack, errors, make_batch, pack_sequences, run
 from models.errors import InputError
@@ -153,8 +153,6 @@ def prepare_sequences(
     options: Any, demos: list[Demonstration], encoder: Any, scaling: MinMaxScaling, target: str
 ) -> dict[str, SequencePack]:
     """Sequences of each split ("train", "valid"), with room for the rest after their end."""
-    if {demo.split for demo in demos} != {"train", "valid"}:
-        raise InputError("a split has no demonstration: teach more (diagrams/teach.py with a larger --limit)")
     # What cannot be used is refused before the pictures are encoded.
     shortest = min(last - first for demo in demos for first, last in subtask_ranges(demo))
     if (most := options.augmentation.carry_ticks) > shortest:
@@ -188,7 +186,7 @@ def train_rnn(options: RnnOptions) -> Path:
     """Runs the training and returns the path of the last candidate."""
     options = options.with_defaults()
     prepare(options)
-    header, encoder, demos = read_header(options.data), Encoder(options.encoder), read_demonstrations(options.data)
+    header, encoder, demos = read_header(options.data), Encoder(options.encoder), read_both_splits(options.data)
     initial = header.initial_posture
     metadata: dict[str, Any] = {
         "training": options.as_metadata(),

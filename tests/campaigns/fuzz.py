@@ -41,12 +41,12 @@ PROGRAMS = {
     name: f"diagrams.{name}"
     for name in ("pick_place", "teach", "calibrate", "baselines", "bench", "sweep", "figures", "analysis", "live")
 } | {"training": "models.training.__main__"}
-# What a program does once its input is accepted: workers, updates, simulations, pages, pictures.
+# What a program does once its input is accepted: workers, updates, samples, simulations, pages, pictures.
 WORK = (
     "diagrams.episodes.pool:Pool.run", "torch.optim:Adam.step", "diagrams.episodes.rollout:Rollout.run",
     "diagrams.episodes.rollout:Rollout.prepare", "diagrams.browser.server:serve", "matplotlib.figure:Figure.savefig",
-    "diagrams.hybrid.switching_point:subtask_images", "models.training.probe:regress",
-    "models.training.export:quantised",
+    "diagrams.hybrid.switching_point:subtask_images", "diagrams.hybrid.defeat:Climb.run",
+    "models.training.probe:regress", "models.training.export:quantised",
 )  # fmt: skip
 BUFFER = 20_000  # bytes of chance a case
 

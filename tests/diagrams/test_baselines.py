@@ -239,7 +239,7 @@ def taped_run(kind, number):
     ("changes", "named"),
     [
         ({"data": None}, "the detector 'knn' learns from demonstrations: give --data"),
-        ({"rule": "conformal"}, "--seed 0 is that of the fit, or the 0 that networks are selected on"),
+        ({"rule": "conformal"}, "--seed 0 is that of the fit, .* selected on: choose another for --rule conformal"),
         ({"rule": "conformal", "seed": 3}, "--seed 3 is that of the fit"),
         ({"delta": 1.0}, "--delta 1.0 is no share"),
         ({"fit_runs": 1}, "--fit-runs 1 is too small"),

@@ -156,7 +156,7 @@ def test_policy_s_attributes(tmp_path: Path) -> None:
     [
         ({"posture": 7}, r"its recalled is float32 \(2, 7\), where float32 \(n, 8\), n from 1"),
         ({"features": 200_000}, r"its inputs have the sizes .*200008.*: fixed ones are needed"),
-        ({"horizon": 3}, r"has 3 mean_errors, where 4 are needed\. Calibrate it again"),
+        ({"horizon": 3}, r"has 3 mean_errors, where 4 are needed\. Run diagrams/calibrate\.py on it again"),
     ],
 )
 def test_a_policy_of_other_sizes_is_refused(tmp_path, change, named):

@@ -1,6 +1,7 @@
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -12,6 +13,7 @@ from models.data.demonstrations import (
     Demonstration,
     content_of,
     iterate_frames,
+    read_both_splits,
     read_demonstrations,
     read_header,
     subtask_ranges,
@@ -162,6 +164,18 @@ def test_a_demonstration_that_is_not_whole_is_named(data_file: Path, tmp_path: P
         change(file)
     with pytest.raises(DatasetError, match=rf"d\.h5 is damaged \(.*{named}.*\): record it again"):
         read_demonstrations(path)
+
+
+@pytest.mark.parametrize("split", ["train", "valid"])
+def test_a_split_without_a_demonstration_is_named_with_the_file(data_file: Path, tmp_path: Path, split: str) -> None:
+    assert len(read_both_splits(data_file)) == 8
+    path = tmp_path / "d.h5"
+    path.write_bytes(data_file.read_bytes())
+    with h5py.File(path, "a") as file:
+        _instead(f"mask/{split}", lambda names: names[:0])(file)
+    for read in (read_both_splits, partial(read_demonstrations, split=split)):
+        with pytest.raises(DatasetError, match=rf"d\.h5: the split {split} has no demonstration: teach more"):
+            read(path)
 
 
 def test_a_flipped_byte_in_a_chunk_is_named(data_file: Path, tmp_path: Path) -> None:
