@@ -18,6 +18,8 @@ from typing import Any
 
 import tyro
 
+from diagrams.browser.explorer import write_explorer, write_replays
+from diagrams.episodes.calibration import policy_name
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
@@ -31,6 +33,8 @@ from diagrams.monitors.bench_plan import (
     undisturbed,
 )
 from diagrams.monitors.bench_task import TAPES, BenchTask, error_row, require_whole, run_bench_task
+from diagrams.monitors.fitting import BETA
+from diagrams.monitors.traces import SHOWN, TRACE
 from diagrams.sweeps.task import believed
 from diagrams.world.scenario import load_world
 from models.command_line import require, run
@@ -68,6 +72,8 @@ class Crew:
                 for task, row in done:
                     if (tape := row.pop(TAPES, None)) is not None:
                         write_bytes(folder / TAPES / f"{task.key}.npz", tape)
+                    for suffix, content in row.pop(SHOWN, {}).items():
+                        write_bytes(folder / SHOWN / f"{task.key}{suffix}", content)
                     self._store.add(task.key, row)
                     bar.update()
         if lost := sum(task.key not in rows for task in asked):
@@ -76,7 +82,8 @@ class Crew:
 
     def _kept(self, task: BenchTask) -> bool:
         """Whether the file that the task leaves is there."""
-        return task.stage != "fit" or (self._arguments.out / TAPES / f"{task.key}.npz").is_file()
+        left = {"fit": f"{TAPES}/{task.key}.npz", "calibration": ""}.get(task.stage, f"{SHOWN}/{task.key}{TRACE}")
+        return (self._arguments.out / left).exists()
 
     def _workers(self) -> tuple[Any, Callable[[BenchTask], dict]]:
         """See Pool; a cluster is given the files that there are now."""
@@ -91,7 +98,11 @@ class Crew:
 
 
 def main(arguments: BenchArguments) -> int:
-    """Runs what is missing, writes bench.parquet and summary.json, prints the table; returns the exit code."""
+    """Runs what is missing, writes what is found, prints the table; returns the exit code."""
+    if arguments.replay is not None:
+        from diagrams.monitors.replays import make_replay
+
+        return make_replay(arguments.out, arguments.replay)
     require("pandas", "pyarrow", "scipy", "sklearn", *(["distributed"] if arguments.scheduler else []))
     arguments.check()
     world, out = load_world(arguments.world), arguments.out
@@ -147,12 +158,13 @@ def finish(
         raise InputError("no episode of them counts: each was void, or raised an error; ask for other --faults")
     path, summary_path = write_table(arguments.out, found), arguments.out / "summary.json"
     given = {name: str(v) if isinstance(v, Path) else v for name, v in dataclasses.asdict(arguments).items()}
-    for name in ("out", "workers", "scheduler"):  # which say nothing of what was found
+    for name in ("out", "workers", "scheduler", "replay"):  # which say nothing of what was found
         del given[name]
+    of_each, of_all = cells(found), pooled(found)
     summary = {
         "arguments": given,
-        "cells": cells(found),
-        "pooled": pooled(found),
+        "cells": of_each,
+        "pooled": of_all,
         "labels": worth(found),
         "half_noticed": half_noticed(found),
         "gammas": promises,
@@ -160,10 +172,14 @@ def finish(
         "errors": len(errors),
     }
     write_text(summary_path, json.dumps(summary, indent=1) + "\n")
+    shown = [r | {"network": policy_name(r["rnn"], r["training_seed"]).removesuffix(".onnx")} for r in found]
+    gamma = {name: {label: g["gamma"] for label, g in of.items()} for name, of in promises.items()}
+    page = write_explorer(arguments.out, of_all + of_each, shown, gamma, BETA, period)
+    write_replays(arguments.out / SHOWN)
     print(text(summary))
     for error in errors:
         print(error, file=sys.stderr)
-    print(f"written: {path}, {summary_path}")
+    print(f"written: {path}, {summary_path}, {page}")
     return 1 if errors else 0
 
 

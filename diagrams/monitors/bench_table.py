@@ -82,6 +82,8 @@ def records(
                         "lost_s": max(own[1] - row["ticks"] * period, 0.0) if needless else 0.0,
                         "peaks": said["peaks"],
                         "weights_hash": task.weights_hash,
+                        "off": task.key,
+                        "acts": acts,
                     }
                 )
     for record, label in zip(found, labels(monitored(found)).tolist() if found else (), strict=True):
@@ -162,11 +164,12 @@ def half_noticed(found: Sequence[Record]) -> list[Record]:
 
 
 def write_table(folder: Path, found: Sequence[Record]) -> Path:
-    """Writes the records, but for their peaks, as a table in `folder`; returns its name."""
+    """Writes the records, but for what only the bench and its explorer need, as a table in `folder`; its name."""
     import pandas as pd
 
     path = folder / TABLE
-    rows = [{name: value for name, value in record.items() if name != "peaks"} for record in found]
+    without = ("peaks", "off", "acts")
+    rows = [{name: value for name, value in record.items() if name not in without} for record in found]
     with whole_file(path) as partial:
         pd.DataFrame(rows).to_parquet(partial, index=False)
     return path

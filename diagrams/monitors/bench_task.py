@@ -10,11 +10,14 @@ from typing import Any, Literal
 import numpy as np
 
 from diagrams.episodes.calibration import Calibration, Controller, make_detector, never_fires, policy_name
+from diagrams.episodes.episode import Outcome
 from diagrams.episodes.fingerprint import code_hash
 from diagrams.episodes.pool import kept_in_thread
-from diagrams.episodes.runner import Job, run_episode
+from diagrams.episodes.record import PICTURE_EVERY
+from diagrams.episodes.runner import Job, prepared
 from diagrams.monitors.scoring import Score
-from diagrams.monitors.tapes import TapedRun, replay, run_taped
+from diagrams.monitors.tapes import TapedRun, replay, taped_and_recorded
+from diagrams.monitors.traces import PICTURES, SHOWN, TRACE, pictures_file, trace_script
 from diagrams.world.configuration import World
 from diagrams.world.faults.registry import kind_label
 from diagrams.world.names import ENCODER
@@ -100,21 +103,20 @@ def run_bench_task(folder: Path, task: BenchTask) -> dict[str, Any]:
     try:
         if task.code != code_hash():
             raise InputError(f"this worker has another version of the program ({code_hash()}, the bench {task.code})")
-        path = folder / policy_name(task.rnn, task.training_seed)
-        acting = task.detectors[0] if task.stage == "loop" else None
-        spec, calibration = (acting.spec, acting.calibration) if acting else ("never", never_fires(1))
-        controller = Controller(path, spec, calibration, recovery=task.recovery)
-        severity = 1.0 if task.severity is None else task.severity
-        job = Job(task.world, folder / ENCODER, controller, task.seed, task.kind, severity)
-        if acting is not None:
-            outcome, _ = run_episode(job)
-            more: dict[str, Any] = {"detectors": {acting.label: {"hash": acting.hash}}}
+        job = job_of(folder, task)
+        path = job.controller.policy
+        if task.stage == "loop":
+            outcome, more = _in_loop(task, job)
         else:
-            run = run_taped(job)
-            outcome = run.outcome
-            more = {"onset": run.onset, "ticks": len(run.tape.posture), "detectors": _scores(path, task, run)}
+            run, record = taped_and_recorded(job)
+            outcome, found = run.outcome, _ratios(path, task, run)
+            more = {"onset": run.onset, "ticks": len(run.tape.posture), "detectors": _scores(task, run, found)}
             if task.stage == "fit":
                 more[TAPES] = tape_bytes(run.tape)
+            if task.stage == "off":
+                acting = [*run.tape.active[1:], run.tape.active[-1]]  # the tape has it as it is told, a tick later
+                trace = trace_script(task.key, record, acting, found)
+                more[SHOWN] = {TRACE: trace, PICTURES: pictures_file(record)}
         if outcome.weights_hash != task.weights_hash:
             raise InputError(f"{path} was changed under the bench: put it back")
         names = ("success", "void", "failure", "sim_seconds", "weights_hash")
@@ -123,20 +125,47 @@ def run_bench_task(folder: Path, task: BenchTask) -> dict[str, Any]:
         return error_row(task, error)
 
 
+def job_of(folder: Path, task: BenchTask) -> Job:
+    """What is run for the task with the files in `folder`."""
+    scored = task.detectors[0] if task.stage == "loop" else None
+    spec, calibration = (scored.spec, scored.calibration) if scored else ("never", never_fires(1))
+    path = folder / policy_name(task.rnn, task.training_seed)
+    controller = Controller(path, spec, calibration, recovery=task.recovery)
+    severity = 1.0 if task.severity is None else task.severity
+    every = (
+        PICTURE_EVERY if task.stage == "off" else 0
+    )  # with the pictures of the loops a bench would be ten times as large
+    return Job(task.world, folder / ENCODER, controller, task.seed, task.kind, severity, picture_every=every)
+
+
+def _in_loop(task: BenchTask, job: Job) -> tuple[Outcome, dict[str, Any]]:
+    """What came of the run in which the task's detector acts, and what the row has beside that."""
+    rollout, episode, calibration = prepared(job)
+    acting, label = list[bool](), task.detectors[0].label
+    keep = lambda _: acting.append(bool(rollout.judged("acting")[0] > 0.5))  # noqa: E731
+    outcome, record = rollout.run(episode, on_tick=keep, until=job.until, calibration=calibration)
+    trace = trace_script(task.key, record, acting, {label: record.errors.max(axis=1)}, record.alpha)
+    return outcome, {"detectors": {label: {"hash": task.detectors[0].hash}}, SHOWN: {TRACE: trace}}
+
+
 def error_row(task: BenchTask, error: BaseException) -> dict[str, Any]:
     """The row of an episode that raised; it counts nowhere, and is run again at the next start."""
     words = f"{type(error).__name__}: {' '.join(str(error).split())}"
     return {"error": words, "traceback": "".join(traceback.format_exception(error)), "weights_hash": task.weights_hash}
 
 
-def _scores(path: Path, task: BenchTask, run: TapedRun) -> dict[str, dict[str, Any]]:
-    """Of each detector of the task, on the run's tape, by its label; plain types."""
+def _ratios(path: Path, task: BenchTask, run: TapedRun) -> dict[str, np.ndarray]:
+    """Of each detector of the task, on the run's tape, by its label: see `ratios`."""
     policy: Policy = kept_in_thread(("bench_policy", path, task.weights_hash), lambda: Policy(path))
-    found = {}
-    for scored in task.detectors:
-        ratio = ratios(scored, policy, path.parent, run.tape)
-        found[scored.label] = {"hash": scored.hash} | vars(Score.of(ratio, scored.calibration.gamma, run.onset))
-    return found
+    return {scored.label: ratios(scored, policy, path.parent, run.tape) for scored in task.detectors}
+
+
+def _scores(task: BenchTask, run: TapedRun, found: dict[str, np.ndarray]) -> dict[str, dict[str, Any]]:
+    """What the row has of each detector; plain types."""
+    return {
+        scored.label: {"hash": scored.hash} | vars(Score.of(found[scored.label], scored.calibration.gamma, run.onset))
+        for scored in task.detectors
+    }
 
 
 def ratios(scored: Scored, policy: Policy, folder: Path, tape: Tape) -> np.ndarray:

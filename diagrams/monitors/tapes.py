@@ -10,6 +10,7 @@ from pydrake.systems.framework import System
 from diagrams.episodes.calibration import Controller
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.pool import Pool
+from diagrams.episodes.record import Record
 from diagrams.episodes.runner import Job, prepared
 from diagrams.episodes.sampling import episode_seeds
 from diagrams.episodes.switching import Until
@@ -31,6 +32,11 @@ class TapedRun:
 
 def run_taped(job: Job) -> TapedRun:
     """Runs one in a worker; its controller never alarms."""
+    return taped_and_recorded(job)[0]
+
+
+def taped_and_recorded(job: Job) -> tuple[TapedRun, Record]:
+    """The same, and the run's record, as large as its tape."""
     rollout, episode, calibration = prepared(job)
     rows: dict[str, list[np.ndarray]] = {name: [] for name in WATCHED}
     acts = list[float]()
@@ -41,7 +47,8 @@ def run_taped(job: Job) -> TapedRun:
             rows[name].append(rollout.controller.GetOutputPort(name).Eval(context).copy())
         acts.append(float(rollout.judged("acting")[0]))
 
-    outcome, record = rollout.run(episode, on_tick=keep, until=job.until, calibration=calibration)
+    more = dict(until=job.until, picture_every=job.picture_every, calibration=calibration)
+    outcome, record = rollout.run(episode, on_tick=keep, **more)
     policy = rollout.policy
     size, ticks = policy.posture_size, len(record.time)
     home = np.clip(policy.scaling.scale(policy.initial_posture), -1.0, 1.0)
@@ -61,7 +68,7 @@ def run_taped(job: Job) -> TapedRun:
         **before,
     )
     onset = int(np.argmax(active)) if active.any() else None
-    return TapedRun(outcome, tape, onset, ticks if onset is None else onset + int(active.sum()))
+    return TapedRun(outcome, tape, onset, ticks if onset is None else onset + int(active.sum())), record
 
 
 def taped(

@@ -20,7 +20,7 @@ from diagrams.episodes.rollout import Rollout
 from diagrams.monitors import bench_fit, bench_task
 from diagrams.monitors.bench_plan import BenchArguments
 from diagrams.monitors.bench_task import run_bench_task
-from diagrams.monitors.tapes import run_taped
+from diagrams.monitors.tapes import taped_and_recorded
 from models.command_line import ROOT
 from models.errors import InputError
 from models.files.detectors import load_detector, save_detector
@@ -32,7 +32,10 @@ CELL = [
     "detector", "fault", "severity", "recovery", "n", "tasks", "tpr", "tnr", "balanced_accuracy", "auroc", "auprc",
     "twa", "detection_s", "false_alarms_per_hour", "seconds_lost", "net_benefit", "gap_closed",
 ]  # fmt: skip
-WRITTEN = ("summary.json", "bench.parquet", "networks/mahalanobis.safetensors", "networks/recall_means.safetensors")
+WRITTEN = (
+    "summary.json", "bench.parquet", "explorer.html", "explorer/replays.js", "networks/mahalanobis.safetensors",
+    "networks/recall_means.safetensors",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -152,12 +155,16 @@ def test_killed_and_resumed_it_ends_as_one_that_was_left_alone(weights, tmp_path
         assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 
 
-def test_a_lost_tape_is_made_again(weights, tmp_path, faked):
+def test_a_lost_tape_or_trace_is_made_again(weights, tmp_path, faked):
     assert bench.main(arguments(weights, tmp_path)) == 0
-    next((tmp_path / "tapes").iterdir()).unlink()
+    lost = [next(tmp_path.glob(name)) for name in ("tapes/*", "explorer/off-*.js", "explorer/loop-*.js")]
+    before = [path.read_bytes() for path in lost]
+    for path in lost:
+        path.unlink()
     faked.clear()
     assert bench.main(arguments(weights, tmp_path)) == 0
-    assert [task.stage for task in faked] == ["fit"]
+    assert [task.stage for task in faked] == ["fit", "off", "loop"]
+    assert [path.read_bytes() for path in lost] == before
 
 
 def test_an_episode_with_an_error_counts_nowhere_and_is_run_again(weights, tmp_path, monkeypatch, capsys):
@@ -282,10 +289,10 @@ def short_runs(monkeypatch, seconds):
     monkeypatch.setattr(Rollout, "run", functools.partialmethod(Rollout.run, time_limit=seconds))
 
     def taped(job):
-        run = run_taped(job)
-        return replace(run, outcome=replace(run.outcome, success=job.kind == "none"))
+        run, record = taped_and_recorded(job)
+        return replace(run, outcome=replace(run.outcome, success=job.kind == "none")), record
 
-    monkeypatch.setattr(bench_task, "run_taped", taped)
+    monkeypatch.setattr(bench_task, "taped_and_recorded", taped)
 
 
 def test_real_episodes(weights, tmp_path, monkeypatch):
