@@ -314,3 +314,24 @@ def test_real_episodes(weights, tmp_path, monkeypatch):
     assert sum("oracle-retrace" in key for key in acted) == 2
     alarmed = table[table["alarm_s"].notna() | (table["false_alarms"] > 0)]
     assert len(acted) == len(alarmed)
+    # The replay of a run is that run, to the bit; of any other none is made.
+    key = next(key for key in acted if "oracle-retrace" in key)
+    trace, made = (tmp_path / "explorer" / f"{key}{suffix}" for suffix in (".js", ".html"))
+    off = next((tmp_path / "explorer").glob("off-*-friction-*.webp"))
+    kept, asked = off.read_bytes(), functools.partial(arguments, weights, tmp_path)
+    assert bench.main(asked(replay=key)) == 0
+    assert "<script" in made.read_text()
+    assert made.with_suffix(".webp").is_file()
+    assert bench.main(asked(replay=off.name.removesuffix(".webp"))) == 0
+    assert off.read_bytes() == kept
+    assert key in (tmp_path / "explorer" / "replays.js").read_text()
+    trace.write_text(trace.read_text().replace('"hash":"', '"hash":"0'))
+    with pytest.raises(InputError, match=f"{key} runs otherwise now"):
+        bench.main(asked(replay=key))
+    trace.unlink()
+    for wrong, words in ((key, "there is no .*the bench's own command"), ("off-lstm", "has no episode 'off-lstm'")):
+        with pytest.raises(InputError, match=words):
+            bench.main(asked(replay=wrong))
+    (tmp_path / "summary.json").unlink()
+    with pytest.raises(InputError, match=r"summary.json is no summary of a bench .*run the bench in --out"):
+        bench.main(asked(replay=key))

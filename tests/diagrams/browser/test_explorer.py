@@ -95,7 +95,7 @@ def test_an_episode_with_two_detectors_beside_each_other(folder, opened, scheme,
     sides.nth(1).wait_for()
     assert sides.locator("h3").all_inner_texts()[0].startswith("recall, hold: ")
     assert sides.locator("h3").all_inner_texts()[1].startswith("oracle, hold: ")
-    slider = page.get_by_label("time (arrow keys")
+    slider = page.get_by_label("time (arrow keys move it by a tick)")
     assert sides.first.locator(".now").inner_text().startswith("2.2 s: score by gamma")  # at the alarm
     assert "alpha 1.00, mode hold, fault active" in sides.first.locator(".now").inner_text()
     for _ in range(3):
@@ -110,7 +110,7 @@ def test_an_episode_with_two_detectors_beside_each_other(folder, opened, scheme,
     assert float(alarm.get_attribute("x1")) == pytest.approx(44 + 588 * 22 / 80, abs=0.1)
     # The picture before that tick is that of tick 15, whose grey is 60.
     assert "1.5 s" in sides.first.locator("figcaption").inner_text()
-    assert sides.first.get_by_role("listitem").inner_text() == "0.0 s  <b>subtask 1</b>"
+    assert sides.first.get_by_role("listitem").inner_text() == "0.0 s: <b>subtask 1</b>"
     page.screenshot(path=tmp_path / f"{scheme}.png", full_page=True)
     # Another detector on the same seed; the one that never alarms has one run.
     page.get_by_label("right detector").select_option(label="never, hold")
@@ -174,7 +174,7 @@ def test_text_of_the_data_stays_text_and_long_tables_come_in_parts(opened, tmp_p
     assert found[0]["detector"] == EVIL
     page.get_by_role("button", name=f"show: {EVIL}, {EVIL}, seed 3", exact=True).click()
     page.get_by_role("listitem").first.wait_for()
-    assert page.get_by_role("listitem").first.inner_text() == f"0.0 s  {EVIL}"
+    assert page.get_by_role("listitem").first.inner_text() == f"0.0 s: {EVIL}"
     assert EVIL in page.locator("#episode-title").inner_text()
     assert page.locator("img").count() == 0
 
@@ -184,6 +184,6 @@ def test_a_trace_that_is_not_there_is_named(browser, tmp_path):
     write_replays(tmp_path / SHOWN)
     page = browser.new_page()
     page.goto((tmp_path / "explorer.html").as_uri())
-    page.get_by_role("button", name="show").click()
+    page.get_by_role("button", name="show:").click()
     page.get_by_text("Its trace is not in the folder explorer beside this page").first.wait_for()
     page.close()
