@@ -163,7 +163,15 @@ def finish(
         raise InputError("no episode of them counts: each was void, or raised an error; ask for other --faults")
     path, summary_path = write_table(arguments.out, found), arguments.out / SUMMARY
     given = {name: str(v) if isinstance(v, Path) else v for name, v in dataclasses.asdict(arguments).items()}
-    for name in ("out", "workers", "scheduler", "replay"):  # which say nothing of what was found
+    for name in (
+        "out",
+        "workers",
+        "scheduler",
+        "tls_ca",
+        "tls_cert",
+        "tls_key",
+        "replay",
+    ):  # which say nothing of what was found
         del given[name]
     of_each, of_all = cells(found), pooled(found)
     summary = {

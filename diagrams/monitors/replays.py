@@ -67,10 +67,12 @@ def _task(folder: Path, key: str) -> BenchTask:
         found = next((task for task in _tasks(folder, BenchArguments(**given), summary) if task.key == key), None)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{path} is no summary of a bench ({error}): run the bench in --out, then ask again"
+            f"--replay {key:.80}: {path} is no summary of a bench ({error}): run the bench in --out, then ask again"
         ) from error
     if found is None:
-        raise InputError(f"the bench in {folder} has no episode '{key:.200}': explorer.html there names them")
+        raise InputError(
+            f"--replay {key:.80}: the bench in {folder} has no such episode: choose one that explorer.html there names"
+        )
     return found
 
 

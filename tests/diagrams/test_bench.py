@@ -338,7 +338,7 @@ def test_real_episodes(weights, tmp_path, monkeypatch):
     with pytest.raises(InputError, match=f"{key} runs otherwise now"):
         bench.main(asked(replay=key))
     trace.unlink()
-    for wrong, words in ((key, "there is no .*the bench's own command"), ("off-lstm", "has no episode 'off-lstm'")):
+    for wrong, words in ((key, "there is no .*the bench's own command"), ("off-lstm", "--replay off-lstm: .* has no such episode")):
         with pytest.raises(InputError, match=words):
             bench.main(asked(replay=wrong))
     (tmp_path / "summary.json").unlink()
