@@ -23,7 +23,7 @@ from diagrams.episodes.calibration import policy_name
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
-from diagrams.monitors.bench_fit import NETWORKS, Fitted, copy_networks, gammas
+from diagrams.monitors.bench_fit import NETWORKS, Fitted, copy_networks, gammas, load_networks
 from diagrams.monitors.bench_plan import (
     CALIBRATION_SEED,
     FIT_SEED,
@@ -32,7 +32,7 @@ from diagrams.monitors.bench_plan import (
     switched_off,
     undisturbed,
 )
-from diagrams.monitors.bench_task import TAPES, BenchTask, error_row, run_bench_task
+from diagrams.monitors.bench_task import TAPES, BenchTask, error_row, require_whole, run_bench_task
 from diagrams.monitors.fitting import BETA
 from diagrams.monitors.traces import SHOWN, TRACE
 from diagrams.sweeps.task import believed
@@ -93,7 +93,7 @@ class Crew:
         from diagrams.sweeps.cluster import DaskPool
 
         files = {path.name: path.read_bytes() for path in sorted(networks.iterdir()) if path.is_file()}
-        cluster = DaskPool(self._arguments.scheduler, files)
+        cluster = DaskPool(self._arguments.scheduler, files, self._arguments.tls)
         return cluster, cluster.with_files(run_bench_task)
 
 
@@ -108,9 +108,13 @@ def main(arguments: BenchArguments) -> int:
     world, out = load_world(arguments.world), arguments.out
     made_with = {name: getattr(arguments, name) for name in ("rnn", "fit_runs", "calibration_runs", "delta")}
     made_with |= {"fit_seed": FIT_SEED, "calibration_seed": CALIBRATION_SEED}
+    networks = load_networks(arguments, world)
     with RowStore(out / ROWS, fingerprint(world, *ROOMS, **made_with)) as store, Pool(arguments.workers) as pool:
         crew, promises = Crew(arguments, store, pool), dict[str, Any]()
-        networks, off, errors = copy_networks(arguments, world), list[BenchTask](), list[str]()
+        for key in (key for key in store.rows if isinstance(key, str)):  # nobody asks for another
+            store.read(key, partial(require_whole, key.partition("-")[0]))
+        off, errors = list[BenchTask](), list[str]()
+        copy_networks(arguments, networks)
         for network in networks:
             tasks = undisturbed(arguments, world, network, "fit")
             _require_none(crew.run(f"{network.path.stem}, runs of the fit", tasks))

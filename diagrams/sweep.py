@@ -45,8 +45,7 @@ def workers(arguments: SweepArguments, names: list[str], most: int) -> tuple[Any
     from diagrams.sweeps.cluster import DaskPool
 
     files = {name: (arguments.weights / name).read_bytes() for name in names}
-    ca, cert, key = arguments.tls_ca, arguments.tls_cert, arguments.tls_key
-    cluster = DaskPool(arguments.scheduler, files, (ca, cert, key) if ca and cert and key else None)
+    cluster = DaskPool(arguments.scheduler, files, arguments.tls)
     return cluster, cluster.with_files(run_task)
 
 

@@ -135,7 +135,11 @@ def _submit(worker: ProcessPoolExecutor, function: Callable[[J], R], job: J) -> 
     """Ctrl-C at a terminal is told every process: here it is the parent's alone, and a worker does not hear of it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which a process begins with
     try:
-        return worker.submit(function, job)
+        future = worker.submit(function, job)
+        # Its end of the pipe of results, which it never writes to: as long as it is open, what a worker was killed in
+        # the middle of is waited for without end.
+        worker._result_queue._writer.close()  # type: ignore[attr-defined]
+        return future
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 

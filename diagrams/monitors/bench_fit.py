@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,20 +31,18 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, ENCODER
 from models.data.runs import SOURCES, Tape, fitted_for, of_policy
 from models.errors import InputError
-from models.files.container import write_bytes
+from models.files.container import WeightsError, write_bytes
 from models.files.detectors import StoredDetector, load_detector, save_detector
 from systems.detector import NEVER
 from systems.detectors import DETECTORS
 
 NETWORKS = "networks"  # folder in --out
+AGAIN = "Delete it: the same command makes it again"
 TOLD = 0.5  # gamma of the detectors without a calibration: their error is alpha
 
 
-def copy_networks(arguments: BenchArguments, world: World) -> list[Network]:
-    """Copies the networks and their encoder beside where the detectors will be; raises InputError for what is amiss.
-
-    All of the kind are copied that lie in --weights: an ensemble takes the others too.
-    """
+def load_networks(arguments: BenchArguments, world: World) -> list[Network]:
+    """The networks that are asked for, with their places in --out; raises InputError for what is amiss."""
     from models.inference import Encoder, Policy
 
     folder, source = arguments.out / NETWORKS, arguments.weights
@@ -56,6 +55,15 @@ def copy_networks(arguments: BenchArguments, world: World) -> list[Network]:
             raise InputError(f"{path} was trained with another encoder than {ENCODER} beside it: give that one")
         require_trained_for(world, policy)
         networks.append(Network(policy.name, seed, folder / policy_name(policy.name, seed), policy))
+    return networks
+
+
+def copy_networks(arguments: BenchArguments, networks: Sequence[Network]) -> None:
+    """Copies them and their encoder beside where the detectors will be; raises InputError where others lie there.
+
+    All of the kind are copied that lie in --weights: an ensemble takes the others too.
+    """
+    folder, source = arguments.out / NETWORKS, arguments.weights
     folder.mkdir(parents=True, exist_ok=True)
     for path in (source / ENCODER, *_of_kind(source, networks[0].rnn)):
         copy, content = folder / path.name, path.read_bytes()
@@ -63,7 +71,6 @@ def copy_networks(arguments: BenchArguments, world: World) -> list[Network]:
             raise InputError(f"{arguments.out} was made with another {path.name}: choose another --out")
         if not copy.exists():
             write_bytes(copy, content)
-    return networks
 
 
 def _of_kind(folder: Path, rnn: str) -> list[Path]:
@@ -93,7 +100,7 @@ class Fitted:
         kept = len(tapes) - max(round(HELD_OUT * len(tapes)), 1)
         if kept < 1:
             raise InputError(f"{len(tapes)} undisturbed runs did their task, too few to fit to: raise --fit-runs")
-        loaded = [load_tape(path) for path in tapes]
+        loaded = [load_tape(path, self.network.policy) for path in tapes]
         for label in tqdm(left, desc=f"{self.network.path.stem}: detectors", unit="fit", leave=False, disable=None):
             self._fit(label, loaded[:kept], loaded[kept:])
 
@@ -103,9 +110,15 @@ class Fitted:
         if not path.exists() or self.network.policy.hash not in (stored := load_detector(path, label)).metadata:
             return False
         found = stored.metadata[self.network.policy.hash]
+        if not isinstance(found, dict) or found.keys() != {"made_with", "mean_errors"}:
+            raise WeightsError(path, f"says {found!s:.60} of {self.network.path.name}, no mean errors", AGAIN)
         if found["made_with"] != self._made_with:
-            raise InputError(f"{path} was fitted to other runs ({found['made_with']}): choose another --out")
-        self.means[label] = tuple(found["mean_errors"])
+            raise InputError(f"{path} was fitted to other runs ({found['made_with']!s:.80}): choose another --out")
+        size = make_detector(self._specs[label], self.network.policy, self.folder).GetOutputPort("errors").size()
+        means = found["mean_errors"]
+        if not isinstance(means, list) or len(means) != size or not all(_positive(value) for value in means):
+            raise WeightsError(path, f"has the mean errors {means!s:.60}, no {size} finite numbers above 0", AGAIN)
+        self.means[label] = tuple(means)
         return True
 
     def _file(self, label: str) -> Path:
@@ -118,8 +131,9 @@ class Fitted:
         stored = load_detector(path, label) if path.exists() else StoredDetector(label)
         if label != RECALL:
             stored.arrays |= self._learned(spec, tapes)
-            save_detector(path, stored)
-        detector, home = make_detector(spec, policy, self.folder), policy.scaling.scale(policy.initial_posture)
+        with TemporaryDirectory() as folder:  # its own file has the mean errors too, from the beginning
+            save_detector(Path(folder, path.name), stored)
+            detector, home = make_detector(spec, policy, Path(folder)), policy.scaling.scale(policy.initial_posture)
         mean = np.vstack([replay(detector, tape, home) for tape in held_out]).mean(axis=0)
         if not np.all(mean > 0.0):
             raise InputError(f"{label}: criterion {int(np.argmin(mean)) + 1} has no error at all on normal runs")
@@ -151,6 +165,10 @@ class Fitted:
                 arrays = of_policy(self.network.policy.hash, load_detector(self._file(label), label).arrays)
             found.append(Scored(spec, calibration, arrays_hash(arrays, repr(calibration).encode())[:16]))
         return tuple(found)
+
+
+def _positive(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 < value < np.inf
 
 
 def gammas(specs: Mapping[str, str], rows: Sequence[dict[str, Any]], delta: float) -> dict[str, Conformal]:

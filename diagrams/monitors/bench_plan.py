@@ -9,6 +9,7 @@ from diagrams.episodes.cores import cores
 from diagrams.episodes.pool import MOST_WORKERS
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
 from diagrams.monitors.bench_task import BenchTask, Scored, Stage
+from diagrams.sweeps.cluster_options import ClusterOptions
 from diagrams.world.configuration import World
 from diagrams.world.faults.registry import FAULTS, is_fault, kind_label, require_kind, require_severity
 from diagrams.world.names import DISTURBANCES, WEIGHTS
@@ -28,7 +29,7 @@ RANGES: dict[str, Range] = {
 
 
 @dataclass
-class BenchArguments:
+class BenchArguments(ClusterOptions):
     """Every detector on every fault at every severity; what alarms is run again with every recovery."""
 
     detectors: list[str] = field(default_factory=lambda: [*DETECTORS])  # as in the registry, or package.module:Class
@@ -45,18 +46,18 @@ class BenchArguments:
     weights: Path = WEIGHTS  # folder of the networks; the detectors are fitted here
     world: Path | None = None  # YAML file of the world, over the default one
     workers: int = field(default_factory=cores)  # processes of this machine; 0: this one
-    scheduler: str | None = None  # address of a running Dask cluster, tcp://...; its own workers are used
     # folder of the rows, the fitted detectors, bench.parquet, summary.json and explorer.html
     out: Path = Path("outputs/bench")
     # key of an episode in --out, as explorer.html names it: its 3-D replay and pictures for that page, nothing else
     replay: str | None = None
 
     def check(self) -> None:
-        """Raises InputError for a value outside its choices; of networks `copy_networks` does."""
+        """Raises InputError for a value outside its choices; of networks `load_networks` does."""
         for name in ("detectors", "faults", "severities", "training_seeds", "recoveries"):
             if not getattr(self, name):
                 raise InputError(f"--{name.replace('_', '-')} names nothing: give one or more")
         require_numbers(self, RANGES)
+        self.check_cluster()
         if not 0.0 < self.delta < 1.0:
             raise InputError(f"--delta {self.delta} is no share: choose one between 0 and 1, such as 0.05")
         for kind in self.faults:

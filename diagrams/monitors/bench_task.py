@@ -77,8 +77,25 @@ class BenchTask:
         if row is None or row["error"] is not None:
             return False
         if row["weights_hash"] != self.weights_hash:
-            raise InputError("it holds episodes of other weights than there are now: choose another --out")
+            raise InputError("--out holds episodes of other weights than there are now: choose another --out")
         return all(row["detectors"].get(scored.label, {}).get("hash") == scored.hash for scored in self.detectors)
+
+
+def require_whole(stage: str, row: Any) -> None:
+    """Raises ValueError, TypeError, KeyError or AttributeError for a row that no episode of that stage leaves."""
+    whole = [isinstance(row["weights_hash"], str), isinstance(row["error"], str | None)]
+    if row["error"] is None:
+        whole += [isinstance(row["success"], bool), isinstance(row["void"], bool), _number(row["sim_seconds"])]
+        ticks = np.inf if stage == "loop" else row["ticks"]
+        whole.append(stage == "loop" or (_tick(ticks) and (row["onset"] is None or _tick(row["onset"], ticks))))
+        for said in row["detectors"].values():
+            whole.append(isinstance(said["hash"], str))
+            if stage != "loop":
+                (first, _), *_ = said["peaks"]
+                whole += [first == 0, all(_tick(tick, ticks) and _number(value) for tick, value in said["peaks"])]
+                whole += [said["alarm"] is None or _tick(said["alarm"], ticks), _tick(said["false_alarms"])]
+    if not all(whole):
+        raise ValueError(f"no row of the stage {stage}: {row!s:.80}")
 
 
 def run_bench_task(folder: Path, task: BenchTask) -> dict[str, Any]:
@@ -174,11 +191,31 @@ def tape_bytes(tape: Tape) -> bytes:
     return file.getvalue()
 
 
-def load_tape(path: Path) -> Tape:
-    """From what `tape_bytes` gave; raises InputError where there is none, or a damaged one."""
+def _tick(value: Any, below: float = np.inf) -> bool:
+    """Whether it is a whole number from 0 on."""
+    return type(value) is int and 0 <= value < below
+
+
+def _number(value: Any) -> bool:
+    """Whether it is a finite number."""
+    return type(value) in (int, float) and -np.inf < value < np.inf
+
+
+def load_tape(path: Path, policy: Policy) -> Tape:
+    """From what `tape_bytes` gave; raises InputError where there is none, or one that is none of a run of `policy`."""
+    posture, features = policy.posture_size, policy.feature_size
+    sizes: dict[str, tuple[int, ...]] = {
+        "posture": (posture,), "recalled_postures": (policy.horizon + 1, posture), "active": (),
+        "hidden_state": (policy.state_size,), "features": (features,), "predicted_features": (features,),
+    }  # fmt: skip
     try:
         with np.load(path, allow_pickle=False) as file:
-            return Tape(**{field.name: file[field.name].astype(float) for field in dataclasses.fields(Tape)})
+            tape = Tape(**{name: file[name].astype(float) for name in sizes})
+        ticks = len(tape.posture)
+        for name, size in sizes.items():
+            if not ticks or (array := getattr(tape, name)).shape != (ticks, *size) or not np.isfinite(array).all():
+                raise ValueError(f"{name} is not {ticks or 'some'} ticks of {size} finite numbers")
+        return tape
     except Exception as error:  # numpy and zip raise a dozen types
         words = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"{path} is no whole tape ({words}): delete it, the same command makes it again") from error

@@ -13,6 +13,7 @@ from diagrams.episodes.pool import MOST_WORKERS
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
+from diagrams.sweeps.cluster_options import ClusterOptions
 from diagrams.sweeps.task import FILES, Task
 from diagrams.world.configuration import World
 from diagrams.world.faults.registry import is_fault, kind_label, require_kind, require_severity
@@ -24,7 +25,7 @@ from systems.detectors import DETECTORS
 
 
 @dataclass
-class SweepArguments:
+class SweepArguments(ClusterOptions):
     """Every combination of the options that take several values is run, on the same episodes."""
 
     episodes: int = 40  # of each combination
@@ -42,10 +43,6 @@ class SweepArguments:
     gamma: list[float] = field(default_factory=list)  # in mean errors (the paper's rule, 3 there), not calibrated
     world: Path | None = None  # YAML file of the world, over the default one
     workers: int = field(default_factory=cores)  # processes of this machine; 0: this one
-    scheduler: str | None = None  # address of a running Dask cluster, tcp:// or tls://...; its own workers are used
-    tls_ca: Path | None = None  # for tls://: file of the authority that signed the cluster's certificates, PEM
-    tls_cert: Path | None = None  # and of the certificate that this program shows
-    tls_key: Path | None = None  # and of its key
     weights: Path = WEIGHTS  # folder of the trained networks
     out: Path = Path("outputs/sweep")  # folder of rows.jsonl, episodes.parquet and summary.json
     keep_records: bool = False  # keep the record of each episode that is run in OUT/records
@@ -75,7 +72,7 @@ class SweepArguments:
             if (value := getattr(self, name)) != getattr(networks, name):
                 option, words = f"--{name.replace('_', '-')}", " ".join(map(str, value))
                 raise InputError(f"{option} {words} is of networks, which --policy replaces: leave one out")
-        self._check_tls()
+        self.check_cluster()
         for gamma in self.gamma:
             if not 0.0 < gamma < math.inf:
                 raise InputError(f"the gamma {gamma} is out of range: choose a finite one above 0")
@@ -88,20 +85,6 @@ class SweepArguments:
         for option, given in (("--keep-records", self.keep_records), ("--mcap", self.mcap)):
             if given and self.until != "task":
                 raise InputError(f"{option} keeps whole episodes, which --until switching cuts short: leave one out")
-
-    def _check_tls(self) -> None:
-        files = {"--tls-ca": self.tls_ca, "--tls-cert": self.tls_cert, "--tls-key": self.tls_key}
-        given = [option for option, file in files.items() if file is not None]
-        if 0 < len(given) < len(files):
-            raise InputError(f"{' and '.join(given)} alone will not do: give {', '.join(files)}, or none of them")
-        encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
-        if encrypted and not given:
-            raise InputError(f"the scheduler {self.scheduler} speaks TLS: give {', '.join(files)}")
-        if given and not encrypted:
-            raise InputError(f"{given[0]} is for a --scheduler at tls://..., not {self.scheduler}: leave one out")
-        for option, file in files.items():
-            if file is not None and not file.is_file():
-                raise InputError(f"{option} {file} is no file: give one in the PEM format")
 
 
 def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]]:

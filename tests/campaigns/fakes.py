@@ -31,6 +31,13 @@ def run_task(folder: Path, task):
     return outcome_row(folder, task)
 
 
+def run_bench_task(folder: Path, task):
+    from tests.diagrams.bench_fakes import bench_row
+
+    note(task.key)
+    return bench_row(folder, task)
+
+
 def blocked(job):
     _, kind, seeds = job
     note(f"{kind} {seeds[0]}")

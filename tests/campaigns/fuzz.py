@@ -39,7 +39,7 @@ from tests.campaigns.forked import ACCEPTED, Answer, Case, accept, answer  # noq
 # Modules by the names that cases give their programs.
 PROGRAMS = {
     name: f"diagrams.{name}"
-    for name in ("pick_place", "teach", "calibrate", "baselines", "sweep", "figures", "analysis", "live")
+    for name in ("pick_place", "teach", "calibrate", "baselines", "bench", "sweep", "figures", "analysis", "live")
 } | {"training": "models.training.__main__"}
 # What a program does once its input is accepted: workers, updates, samples, simulations, pages, pictures.
 WORK = (
@@ -108,13 +108,14 @@ class Inputs:
     """The cases of a seed, by their number; their subjects take turns."""
 
     def __init__(self, seed: int) -> None:
-        from tests.campaigns import fuzz_bases, fuzz_files, fuzz_inputs, fuzz_weights, fuzz_yaml
+        from tests.campaigns import fuzz_bases, fuzz_bench, fuzz_files, fuzz_inputs, fuzz_weights, fuzz_yaml
 
         self.seed, bases = seed, in_child(fuzz_bases.make_bases)
         lines = [fuzz_inputs.command_lines(name, program, bases) for name, program in fuzz_inputs.programs().items()]
         texts = [fuzz_yaml.worlds(bases), fuzz_yaml.scenarios(bases)] * 3
         files = [fuzz_weights.weights(bases)] * 5 + [fuzz_files.demonstrations(bases)] * 2
         files += [fuzz_files.records(bases)] * 2 + [fuzz_files.sweeps(bases)] * 2 + [fuzz_files.checkpoints(bases)] * 2
+        files += [fuzz_bench.benches(bases)] * 2
         self.strategies = [*lines, *texts, *files, fuzz_weights.autoencoders(bases)]
 
     def __getitem__(self, number: int) -> Case:

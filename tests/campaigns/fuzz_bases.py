@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from diagrams import sweep
+from diagrams import bench, sweep
 from diagrams.episodes import compatibility
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.fingerprint import fingerprint
@@ -28,6 +28,7 @@ from models.networks.cae import ConvolutionalAutoencoder
 from models.training.__main__ import main as train
 from models.training.__main__ import parse as parse_training
 from systems.detectors import DETECTORS
+from tests.diagrams import bench_fakes
 from tests.diagrams.hybrid.test_cycle import CALM, RESUMED, RETURNED
 from tests.diagrams.recorded_run import recorded_run
 from tests.diagrams.sweep_fakes import outcome_row
@@ -35,6 +36,10 @@ from tests.models import handmade, synthetic
 
 HORIZON = 10
 SWEEP = ["--episodes", "2", "--disturbance", "A", "--workers", "1"]  # whose rows lie in sweep/
+BENCH = [
+    "--weights", "weights", "--detectors", "recall", "knn", "mahalanobis", "--faults", "A", "--episodes", "1",
+    "--fit-runs", "2", "--calibration-runs", "2", "--workers", "1",
+]  # fmt: skip
 RNN = [
     "rnn", "--data", "demos.h5", "--encoder", "weights/encoder.onnx", "--out", "out", "--rnn",
     "tests.models.outside:Elman",
@@ -58,6 +63,7 @@ class Bases:
     autoencoder: bytes
     record: bytes
     sweep: dict[str, bytes]
+    bench: dict[str, bytes]  # out/NAME of a bench that is done
     reports: dict[str, bytes]  # out/NAME.json and the sweep for `analysis cycle`
 
     def write_weights(self, names: tuple[str, ...] = ()) -> dict[str, bytes]:
@@ -117,6 +123,7 @@ def _make(folder: Path) -> Bases:
         autoencoder=(folder / "cae.safetensors").read_bytes(),
         record=(folder / "B.npz").read_bytes(),
         sweep=_sweep(folder),
+        bench=_bench(folder),
         reports=_reports(folder),
     )
 
@@ -145,6 +152,15 @@ def _sweep(folder: Path) -> dict[str, bytes]:
     write_table(out, rows)
     (out / "summary.json").write_text("{}\n")
     return {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+def _bench(folder: Path) -> dict[str, bytes]:
+    out = folder / "bench"
+    bench.run_bench_task = bench_fakes.bench_row
+    bench_fakes.SIZES["hidden_state"] = (8 * HORIZON,)  # of the handmade network
+    if bench.main(bench.parse([*BENCH, "--workers", "0", "--out", str(out)])):
+        raise RuntimeError("the bench that the inputs are made from could not be made")
+    return {f"out/{path.relative_to(out)}": path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
 
 def _reports(folder: Path) -> dict[str, bytes]:

@@ -157,7 +157,7 @@ def _lines(draw: Any, content: bytes) -> bytes:
     return b"\n".join(lines) + b"\n"
 
 
-def _parquet(draw: Any, content: bytes) -> bytes:
+def change_table(draw: Any, content: bytes) -> bytes:
     """A table with a column changed."""
     import pandas as pd
 
@@ -180,7 +180,7 @@ def _parquet(draw: Any, content: bytes) -> bytes:
     return held.getvalue()
 
 
-def _report(draw: Any, content: bytes) -> bytes:
+def change_report(draw: Any, content: bytes) -> bytes:
     """A report with an entry changed, at some depth."""
     report = json.loads(content)
     place = report
@@ -211,7 +211,7 @@ def sweeps(bases: Bases) -> st.SearchStrategy[Case]:
     def cases(draw: Any) -> Case:
         program, argv, files, name = draw(st.sampled_from(readers))
         files = needed(bases, ("weights",)) | files
-        inside = {"jsonl": _lines, "parquet": _parquet, "json": _report}[name.rsplit(".")[-1]]
+        inside = {"jsonl": _lines, "parquet": change_table, "json": change_report}[name.rsplit(".")[-1]]
         files[name] = draw(changed(files[name], inside, (bases.candidate,)))
         if program == "sweep":  # its folder is its own
             files = {("out" + n.removeprefix("sweep") if n.startswith("sweep/") else n): c for n, c in files.items()}

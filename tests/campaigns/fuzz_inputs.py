@@ -8,10 +8,10 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from hypothesis import strategies as st
 
-from diagrams import analysis, baselines, calibrate, figures, live, pick_place, sweep, teach
+from diagrams import analysis, baselines, bench, calibrate, figures, live, pick_place, sweep, teach
 from models.training import __main__ as training
 from tests.campaigns.forked import Case, Special
-from tests.campaigns.fuzz_bases import RECALL, RNN, SWEEP, Bases
+from tests.campaigns.fuzz_bases import BENCH, RECALL, RNN, SWEEP, Bases
 
 NUMBERS = (
     "0", "-1", "1", "2", "3", "-0.5", "0.5", "1.5", "nan", "-nan", "inf", "-inf", "1e308", "1e999", "-1e308", "1e-320",
@@ -68,6 +68,7 @@ def programs() -> dict[str, Program]:
             ("policies", "demos"),
         ),
         "sweep": Program(sweep.SweepArguments, [*weights, *SWEEP, "--out", "out"]),
+        "bench": Program(bench.BenchArguments, [*BENCH, "--out", "out"]),
         "figures": Program(figures.FiguresArguments, [*weights, "--records", "B.npz"], ("weights", "record")),
         "live": Program(live.LiveArguments, [*weights, "--no-open"]),
     }

@@ -6,12 +6,12 @@ from typing import Any
 from hypothesis import strategies as st
 
 from tests.campaigns.forked import Case
-from tests.campaigns.fuzz_bases import RECALL, RNN, SWEEP, Bases
+from tests.campaigns.fuzz_bases import BENCH, RECALL, RNN, SWEEP, Bases
 from tests.campaigns.fuzz_changes import ODD, changed
 from tests.campaigns.fuzz_inputs import needed
 
 
-def _onnx(draw: Any, content: bytes) -> bytes:
+def change_graph(draw: Any, content: bytes) -> bytes:
     """A graph whose header or whose tensors are changed."""
     import onnx
 
@@ -42,12 +42,12 @@ def _onnx(draw: Any, content: bytes) -> bytes:
     return model.SerializeToString()
 
 
-def _safetensors(draw: Any, content: bytes) -> bytes:
+def change_tensors(draw: Any, content: bytes) -> bytes:
     """A file whose JSON is changed."""
     size = int.from_bytes(content[:8], "little")
     outer, rest = json.loads(content[8 : 8 + size]), content[8 + size :]
     inner = json.loads(outer["__metadata__"]["header"])
-    what = draw(st.integers(0, 5))
+    what = draw(st.integers(0, 5 if len(outer) > 1 else 3))
     if what <= 2:
         place = draw(st.sampled_from([inner, *(v for v in inner.values() if isinstance(v, dict) and v)]))
         if place is inner.get("calibrations"):
@@ -73,6 +73,7 @@ def weights(bases: Bases) -> st.SearchStrategy[Case]:
     readers = {
         "weights/encoder.onnx": [
             ("sweep", [*fly, *SWEEP, "--out", "out"], ("weights",)),
+            ("bench", [*BENCH, "--out", "out"], ("weights",)),
             ("training", ["probe", "--data", "demos.h5", "--encoder", "weights/encoder.onnx"], ("demos",)),
             ("training", RNN, ("demos",)),
         ],
@@ -80,6 +81,7 @@ def weights(bases: Bases) -> st.SearchStrategy[Case]:
         ("live", [*fly, "--no-open"], ())],
         "weights/lstm.onnx": [
             ("sweep", [*fly, *SWEEP, "--out", "out"], ()),
+            ("bench", [*BENCH, "--out", "out"], ()),
             ("pick_place", [*fly, "--disturbance", "none"], ()),
             ("calibrate", ["--candidates", "weights/lstm.onnx", "--encoder", "weights/encoder.onnx", "--out",
             "new.onnx"], ()),
@@ -119,7 +121,7 @@ def weights(bases: Bases) -> st.SearchStrategy[Case]:
         # The detectors' files are of another call of baselines.py, which would be refused for that.
         alone = program == "baselines" and name == "weights/lstm.onnx"
         files = needed(bases, ("policies" if alone else "weights", *needs))
-        inside = _safetensors if name.endswith("safetensors") else _onnx
+        inside = change_tensors if name.endswith("safetensors") else change_graph
         files[name] = draw(changed(files[name], inside, others))
         return Case(f"weights {name.split('/')[-1]}", program, argv, files, (name.split("/")[-1], "the policy was"))
 
@@ -133,7 +135,7 @@ def autoencoders(bases: Bases) -> st.SearchStrategy[Case]:
     @st.composite
     def cases(draw: Any) -> Case:
         files = needed(bases, ("demos",))
-        files["cae.safetensors"] = draw(changed(bases.autoencoder, _safetensors, tuple(bases.weights.values())))
+        files["cae.safetensors"] = draw(changed(bases.autoencoder, change_tensors, tuple(bases.weights.values())))
         return Case("autoencoders", "training", argv, files, ("cae.safetensors",))
 
     return cases()

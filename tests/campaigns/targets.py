@@ -199,6 +199,27 @@ def _patch_return() -> None:
     _swap("diagrams.hybrid.return_certificate", LEAST_CALIBRATION=least, measured_delay_margin=lambda *_: 15)
 
 
+def _patch_bench() -> None:
+    from diagrams.monitors.bench_fit import Fitted
+
+    _swap("diagrams.bench", run_bench_task=fakes.run_bench_task)
+    fit = Fitted._fit
+
+    def noted(self, label, *runs):
+        fit(self, label, *runs)
+        fakes.note(f"fit {label}")
+
+    Fitted._fit = noted  # type: ignore[method-assign]
+
+
+def _benched(out: Path) -> int:
+    """Episodes and fitted detectors."""
+    from models.files.tensors import read_tensors
+
+    fitted = [read_tensors(path, "detector", "")[1] for path in (out / "networks").glob("*.safetensors")]
+    return rows_of("rows.jsonl")(out) + sum(len(header["metadata"]) for header in fitted)
+
+
 PICTURES = ("replay.html", "plot.png", "graphviz.svg", "video.mp4", "film.webp")
 
 
@@ -300,6 +321,13 @@ TARGETS: dict[str, Target] = {
                             "--kept", "0.5", "--repetitions", "2"],
         rows_of("defeat_cases.jsonl"), lambda: _swap("diagrams.hybrid.defeat_cases", run_case=fakes.run_case),
         volatile=("defeat_cases.jsonl",),
+    ),
+    "bench": Target(
+        "diagrams.bench",
+        lambda given, out: [*_weights(given), "--out", str(out), "--detectors", "recall", "knn", "mahalanobis",
+                            "--faults", "A", "payload", "--episodes", "2", "--fit-runs", "4", "--calibration-runs", "3",
+                            "--recoveries", "planned", "hold", "--workers", "2"],
+        _benched, _patch_bench, volatile=("rows.jsonl",),
     ),
 }  # fmt: skip
 

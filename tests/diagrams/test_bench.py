@@ -10,18 +10,20 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from diagrams import bench
 from diagrams.episodes.pool import WorkerDied
 from diagrams.episodes.rollout import Rollout
-from diagrams.monitors import bench_task
+from diagrams.monitors import bench_fit, bench_task
 from diagrams.monitors.bench_plan import BenchArguments
 from diagrams.monitors.bench_task import run_bench_task
 from diagrams.monitors.tapes import taped_and_recorded
 from models.command_line import ROOT
 from models.errors import InputError
+from models.files.detectors import load_detector, save_detector
 from tests.diagrams import bench_fakes
 from tests.diagrams.untrained import save_untrained
 
@@ -216,6 +218,60 @@ def test_bad_input_is_refused_before_anything_runs(weights, tmp_path, faked, cha
     with pytest.raises(InputError, match=words):
         bench.main(arguments(weights, tmp_path, **changes))
     assert not faked
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize(
+    ("stage", "place", "value"),
+    [("off", "ticks", None), ("off", "onset", 60), ("off", "weights_hash", 5), ("loop", "success", "yes"),
+     ("calibration", "detectors", {"speed": {"hash": "", "alarm": None, "false_alarms": 0}}),
+     ("off", "detectors", {"speed": {"hash": "", "alarm": None, "false_alarms": 0, "peaks": [[1, 0.5]]}})],
+)  # fmt: skip
+def test_a_damaged_row_is_refused_by_name_before_anything_runs(weights, tmp_path, faked, stage, place, value):
+    assert bench.main(arguments(weights, tmp_path)) == 0
+    faked.clear()
+    rows = tmp_path / "rows.jsonl"
+    lines = [json.loads(line) for line in rows.read_text().splitlines()]
+    key = next(line["key"] for line in lines[1:] if line["key"].startswith(stage))
+    next(line for line in lines[1:] if line["key"] == key)["row"][place] = value
+    rows.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(InputError, match=f"rows.jsonl is damaged in the row {key}: delete that line"):
+        bench.main(arguments(weights, tmp_path, detectors=["recall", "speed"]))
+    assert not faked
+    assert not (tmp_path / "networks" / "speed.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("ticks", "postures", "words"),
+    [(0, 11, "posture is not some ticks"), (5, 10, r"recalled_postures is not 5 ticks of \(11, 8\)")],
+)
+def test_a_damaged_tape_is_refused_by_name(weights, tmp_path, faked, ticks, postures, words):
+    assert bench.main(arguments(weights, tmp_path)) == 0
+    tape = next((tmp_path / "tapes").iterdir())
+    with np.load(tape) as file:
+        arrays = {name: file[name][:ticks] for name in file.files}
+    np.savez(tape, **arrays | {"recalled_postures": arrays["recalled_postures"][:, :postures]})
+    with pytest.raises(InputError, match=rf"{tape.name} is no whole tape \({words}.*: delete it"):
+        bench.main(arguments(weights, tmp_path, detectors=["speed"]))
+
+
+@pytest.mark.parametrize("means", [[], [0.0], ["x"], None])
+def test_damaged_mean_errors_are_refused_by_name(weights, tmp_path, faked, means):
+    assert bench.main(arguments(weights, tmp_path)) == 0
+    path = tmp_path / "networks" / "mahalanobis.safetensors"
+    stored = load_detector(path, "mahalanobis")
+    [entry] = stored.metadata.values()
+    entry["mean_errors"] = means
+    save_detector(path, stored)
+    with pytest.raises(InputError, match=r"mahalanobis.safetensors: has the mean errors .*\. Delete it"):
+        bench.main(arguments(weights, tmp_path))
+
+
+def test_a_detector_without_any_error_leaves_no_file(weights, tmp_path, faked, monkeypatch):
+    monkeypatch.setattr(bench_fit, "replay", lambda detector, tape, home: np.zeros((len(tape.posture), 1)))
+    with pytest.raises(InputError, match="speed: criterion 1 has no error at all"):
+        bench.main(arguments(weights, tmp_path, detectors=["speed"]))
+    assert {path.suffix for path in (tmp_path / "networks").iterdir()} == {".onnx"}
 
 
 def test_other_runs_of_the_fit_and_other_weights_do_not_mix(weights, tmp_path, faked):

@@ -12,7 +12,7 @@ from diagrams import bench
 from diagrams.episodes.rollout import Rollout
 from diagrams.monitors import bench_task
 from diagrams.monitors.bench_plan import BenchArguments
-from diagrams.monitors.tapes import run_taped
+from diagrams.monitors.tapes import taped_and_recorded
 from models.command_line import ROOT
 from tests.diagrams.untrained import save_untrained
 
@@ -31,10 +31,10 @@ def test_the_page_brings_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr(Rollout, "run", functools.partialmethod(Rollout.run, time_limit=1.0))
 
     def taped(job):  # of untrained networks, which do no task: that they did it is made up
-        run = run_taped(job)
-        return replace(run, outcome=replace(run.outcome, success=job.kind == "none"))
+        run, record = taped_and_recorded(job)
+        return replace(run, outcome=replace(run.outcome, success=job.kind == "none")), record
 
-    monkeypatch.setattr(bench_task, "run_taped", taped)
+    monkeypatch.setattr(bench_task, "taped_and_recorded", taped)
     given = BenchArguments(
         detectors=["recall", SPEC], faults=["friction"], fit_runs=2, calibration_runs=1, workers=0,
         weights=save_untrained(tmp_path / "weights"), out=tmp_path / "out",

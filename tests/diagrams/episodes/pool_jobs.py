@@ -2,6 +2,8 @@
 
 import os
 import signal
+import struct
+import sys
 import time
 from pathlib import Path
 
@@ -57,3 +59,12 @@ def slow_after_two(job):
     if job >= 2:
         time.sleep(200)
     return job
+
+
+def die_while_answering(job):
+    """A worker that is killed in the middle of its answer: the pipe holds the beginning of a message."""
+    frame = sys._getframe()
+    while "result_queue" not in frame.f_locals:
+        frame = frame.f_back
+    os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000) + b"begun")
+    os.kill(os.getpid(), signal.SIGKILL)

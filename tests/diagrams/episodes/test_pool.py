@@ -76,6 +76,16 @@ def test_a_dead_worker_is_replaced_and_its_job_run_again(pool, tmp_path):
     assert sorted(name for _, name in pool.run(pool_jobs.kill_own_worker, jobs)) == ["a", "b", "c"]
 
 
+def test_a_worker_that_is_killed_in_the_middle_of_its_answer_is_not_waited_for():
+    command = "from diagrams.episodes.pool import Pool; from tests.diagrams.episodes import pool_jobs as jobs\n"
+    command += "if __name__ == '__main__':\n with Pool(1) as pool: print(list(pool.run(jobs.die_while_answering, [1], "
+    command += "lambda job, gone: str(gone))))"
+    ended = subprocess.run(
+        [sys.executable, "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert f"{ATTEMPTS} workers died" in ended.stdout
+
+
 def test_a_job_that_kills_its_workers_is_given_up(pool):
     jobs = ["one", "deadly", "two"]
     found = dict(pool.run(pool_jobs.kill_every_worker, jobs, lambda job, gone: str(gone)))

@@ -11,6 +11,7 @@ from distributed import LocalCluster, Security
 
 from diagrams import sweep
 from diagrams.episodes.pool import Pool, WorkerDied
+from diagrams.monitors.bench_plan import BenchArguments
 from diagrams.sweeps import cluster as cluster_module
 from diagrams.sweeps.cluster import DaskPool
 from diagrams.sweeps.plan import SweepArguments
@@ -251,6 +252,7 @@ def test_encrypted(authorities, monkeypatch):
         ({"scheduler": "tls://1:1", **TLS}, "--tls-ca ca is no file"),
     ],
 )
-def test_half_a_set_of_tls_files_is_refused(changes, named):
+@pytest.mark.parametrize("arguments", [SweepArguments, BenchArguments])
+def test_half_a_set_of_tls_files_is_refused(arguments, changes, named):
     with pytest.raises(InputError, match=named):
-        SweepArguments(**changes).check()
+        arguments(**changes).check()
