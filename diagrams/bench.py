@@ -37,12 +37,13 @@ from diagrams.monitors.fitting import BETA
 from diagrams.monitors.traces import SHOWN, TRACE
 from diagrams.sweeps.task import believed
 from diagrams.world.scenario import load_world
+from models.checks import require_plain
 from models.command_line import require, run
 from models.errors import InputError
 from models.files.container import write_bytes, write_text
 from systems.recoveries.registry import RECOVERIES
 
-ROWS = "rows.jsonl"  # in the folder --out
+ROWS, SUMMARY = "rows.jsonl", "summary.json"  # in the folder --out
 # What decides a row beside what decides an episode's.
 ROOMS = ("diagrams/monitors", "models/data/runs.py", "models/networks/perceptron.py")
 
@@ -104,11 +105,15 @@ def main(arguments: BenchArguments) -> int:
 
         return make_replay(arguments.out, arguments.replay)
     require("pandas", "pyarrow", "scipy", "sklearn", *(["distributed"] if arguments.scheduler else []))
+    from diagrams.monitors.bench_table import TABLE
+
     arguments.check()
     world, out = load_world(arguments.world), arguments.out
     made_with = {name: getattr(arguments, name) for name in ("rnn", "fit_runs", "calibration_runs", "delta")}
     made_with |= {"fit_seed": FIT_SEED, "calibration_seed": CALIBRATION_SEED}
     networks = load_networks(arguments, world)
+    for path in (out / TABLE, out / SUMMARY, *(out / NETWORKS).glob("*"), *(out / TAPES).glob("*")):
+        require_plain(path, "choose another --out")
     with RowStore(out / ROWS, fingerprint(world, *ROOMS, **made_with)) as store, Pool(arguments.workers) as pool:
         crew, promises = Crew(arguments, store, pool), dict[str, Any]()
         for key in (key for key in store.rows if isinstance(key, str)):  # nobody asks for another
@@ -156,7 +161,7 @@ def finish(
     found = records(off, loops, rows, recoveries, period)
     if not found:
         raise InputError("no episode of them counts: each was void, or raised an error; ask for other --faults")
-    path, summary_path = write_table(arguments.out, found), arguments.out / "summary.json"
+    path, summary_path = write_table(arguments.out, found), arguments.out / SUMMARY
     given = {name: str(v) if isinstance(v, Path) else v for name, v in dataclasses.asdict(arguments).items()}
     for name in ("out", "workers", "scheduler", "replay"):  # which say nothing of what was found
         del given[name]

@@ -58,7 +58,11 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     with interrupts.listening():
         try:
             require_checkout()
-            code = main(_parsed(arguments))
+            try:
+                code = main(_parsed(arguments))
+            except Exception:
+                interrupts.leave_if_asked()  # a library took the request to end for a failure of its own
+                raise
         except SystemExit as end:  # --help, and the parser's own errors
             code = end.code if isinstance(end.code, int) else int(end.code is not None)
         except InputError as error:

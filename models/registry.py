@@ -77,12 +77,15 @@ class Registry(Generic[T]):
 
     def check(self, spec: str) -> None:
         """Raises InputError unless `spec` names something; loads only what is given as `package.module:Class`."""
-        if spec not in self._specs():
+        if not self._listed(spec):
             self[spec]
 
     def label(self, spec: str) -> str:
         """The short name of what `spec` names: for file names, tables and pictures."""
-        return spec if spec in self._specs() else self[spec].name  # type: ignore[attr-defined]
+        return spec if self._listed(spec) else self[spec].name  # type: ignore[attr-defined]
+
+    def _listed(self, spec: str) -> bool:
+        return spec in self._entries or spec in self._specs()  # what is installed is read from the disk each time
 
     def _specs(self) -> dict[str, str]:
         return self._entries | {point.name: point.value for point in entry_points(group=self.group)}

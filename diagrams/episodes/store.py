@@ -77,7 +77,7 @@ class RowStore:
             return of(self.rows[key])
         except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
             raise InputError(
-                f"{self.path} is damaged in the row {key:.80}: delete that line, or choose another {self._option}"
+                f"{self.path} is damaged in the row {key!s:.80}: delete that line, or choose another {self._option}"
             ) from error
 
     def add(self, key: str, row: Any) -> None:

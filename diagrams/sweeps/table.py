@@ -101,6 +101,7 @@ def read_tables(folders: list[Path]) -> pd.DataFrame:
             whole = pa.Table.from_pandas(table[[n for n in SCHEMA.names if n in table.columns]], preserve_index=False)
             names = [name for name in whole.column_names if not pa.types.is_null(whole.schema.field(name).type)]
             other = [name for name in names if not _alike(whole.schema.field(name).type, SCHEMA.field(name).type)]
+            table = table.reindex(columns=list(dict.fromkeys([*table.columns, *LATER]))).astype(object)
         except Exception as error:
             raise InputError(f"{path} is damaged ({error}): delete it, and run the sweep again") from error
         if other:
@@ -108,7 +109,7 @@ def read_tables(folders: list[Path]) -> pd.DataFrame:
                 f"{path} has another type in the column {', '.join(other)}, another version of sweep.py wrote it: run "
                 "the sweep again, with another --out"
             )
-        tables.append(table.reindex(columns=list(dict.fromkeys([*table.columns, *LATER]))).astype(object))
+        tables.append(table)
     rows = pd.concat(tables, ignore_index=True).infer_objects()
     if rows.duplicated(_EPISODE).any():
         raise InputError(

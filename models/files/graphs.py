@@ -60,7 +60,9 @@ def read_graph(path: str | Path, kind: str, content: bytes | None = None) -> Gra
         _require_harmless(path, model)
         entries = {pair.key: pair.value for pair in model.metadata_props}
         if HEADER not in entries:
-            raise WeightsError(path, f"has no metadata entry '{HEADER}'", "models/README.md says what belongs into it")
+            raise WeightsError(
+                path, f"has no metadata entry '{HEADER}'", "Add it: models/README.md says what belongs there"
+            )
         header = dict(json.loads(entries[HEADER]))
     except WeightsError:
         raise

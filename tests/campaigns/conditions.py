@@ -117,7 +117,8 @@ def _elsewhere(largest: int, rng: np.random.Generator) -> None:
     os.chdir("/")
 
 
-ASCII = (("LC_ALL", "C"), ("LANG", "C"), ("PYTHONUTF8", "0"), ("PYTHONCOERCECLOCALE", "0"))
+# Drake 1.51.1 cannot be imported where Python reads files as ASCII (PYTHONUTF8=0, PYTHONCOERCECLOCALE=0).
+ASCII = (("LC_ALL", "C"), ("LANG", "C"), ("PYTHONIOENCODING", "ascii"))
 OUT_OF_ROOM = ("teach", "teach-lerobot", "cae", "rnn", "recall", "calibrate", "baselines", "sweep", "sweep-blocked",
                "falsify", "return", "resume", "defeat", "bench", "pick_place")  # fmt: skip
 CONDITIONS = {

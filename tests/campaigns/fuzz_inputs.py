@@ -178,7 +178,7 @@ def command_lines(name: str, program: Program, bases: Bases) -> st.SearchStrateg
             names += [
                 option,
                 *values,
-                *(value.replace("_", "") for value in values),
+                *(value.replace("_", "").removeprefix("+") for value in values),
                 option[2:].replace("-", "_"),
                 option[2:].replace("-", " ").replace(".", " "),
             ]

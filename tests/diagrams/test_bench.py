@@ -255,6 +255,15 @@ def test_a_damaged_tape_is_refused_by_name(weights, tmp_path, faked, ticks, post
         bench.main(arguments(weights, tmp_path, detectors=["speed"]))
 
 
+@pytest.mark.parametrize("name", ["summary.json", "bench.parquet", "networks/lstm.onnx", "tapes/a.npz"])
+def test_a_pipe_among_its_files_is_refused(weights, tmp_path, faked, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name} is a pipe or a device, no plain file: choose another --out"):
+        bench.main(arguments(weights, tmp_path))
+    assert not faked
+
+
 @pytest.mark.parametrize("means", [[], [0.0], ["x"], None])
 def test_damaged_mean_errors_are_refused_by_name(weights, tmp_path, faked, means):
     assert bench.main(arguments(weights, tmp_path)) == 0

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from models import interrupts
-from models.command_line import ROOT
+from models.command_line import ROOT, run
+from models.errors import InputError
 from models.interrupts import Interrupted, held, leave_if_asked, listening
 from models.networks.onnx_export import policy_graph
 from models.networks.rnn import make_rnn
@@ -136,3 +137,19 @@ def fail_when_asked():
     with held():
         signal.raise_signal(signal.SIGINT)
         raise ValueError("first")
+
+
+def test_a_library_that_takes_a_request_for_its_own_failure_does_not_hide_it(capsys):
+    """torch does: an import that is broken off is an error of what needs it, some calls later."""
+
+    def main(_):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5)
+        except BaseException:
+            raise InputError("the network cannot be exported") from None
+
+    with pytest.raises(SystemExit) as end:
+        run(main, lambda: None)
+    assert end.value.code == 128 + signal.SIGTERM
+    assert capsys.readouterr().err == "interrupted: start it again\n"

@@ -44,6 +44,12 @@ def test_names_need_no_import(registry):
     registry.check("broken")
 
 
+def test_ours_are_not_looked_for_among_what_is_installed(registry, monkeypatch):
+    monkeypatch.setattr(registry_module, "entry_points", lambda group: pytest.fail("read from the disk"))
+    assert registry.label("ours") == "ours"
+    registry.check("ours")
+
+
 def test_by_name_by_entry_point_and_by_class(registry):
     assert registry["ours"].name == "ours"
     assert registry["theirs"].name == "theirs"

@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from diagrams.sweeps.table import read_tables, write_table
@@ -36,6 +38,16 @@ def test_a_table_of_another_version_is_refused(tmp_path):
     pd.read_parquet(path).drop(columns=["paper_switch_success", "error_peak_normal"]).to_parquet(path)
     with pytest.raises(InputError, match=r"no column paper_switch_success, error_peak_normal, another version .*again"):
         read_tables([tmp_path / "old"])
+
+
+def test_text_that_is_none_is_damage(tmp_path):
+    sweep(tmp_path / "bent")
+    path = tmp_path / "bent" / "episodes.parquet"
+    table = pq.read_table(path)
+    bent = pa.array([b"recal\xff"] * len(table), pa.binary()).view(pa.string())
+    pq.write_table(table.set_column(table.column_names.index("detector"), "detector", bent), path)
+    with pytest.raises(InputError, match=r"episodes.parquet is damaged"):
+        read_tables([tmp_path / "bent"])
 
 
 def test_no_table_or_a_damaged_one(tmp_path):
