@@ -18,7 +18,7 @@ from typing import Any
 
 import tyro
 
-from diagrams.browser.explorer import write_explorer, write_replays
+from diagrams.browser.explorer import PAGE, write_explorer, write_replays
 from diagrams.episodes.calibration import policy_name
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
@@ -35,6 +35,7 @@ from diagrams.monitors.bench_plan import (
 from diagrams.monitors.bench_task import TAPES, BenchTask, error_row, require_whole, run_bench_task
 from diagrams.monitors.fitting import BETA
 from diagrams.monitors.traces import SHOWN, TRACE
+from diagrams.sweeps.cluster_options import ClusterOptions
 from diagrams.sweeps.task import believed
 from diagrams.world.scenario import load_world
 from models.checks import require_plain
@@ -112,7 +113,8 @@ def main(arguments: BenchArguments) -> int:
     made_with = {name: getattr(arguments, name) for name in ("rnn", "fit_runs", "calibration_runs", "delta")}
     made_with |= {"fit_seed": FIT_SEED, "calibration_seed": CALIBRATION_SEED}
     networks = load_networks(arguments, world)
-    for path in (out / TABLE, out / SUMMARY, *(out / NETWORKS).glob("*"), *(out / TAPES).glob("*")):
+    inside = (path for name in (NETWORKS, TAPES, SHOWN) for path in (out / name).glob("*"))
+    for path in (out / TABLE, out / SUMMARY, out / PAGE, *inside):
         require_plain(path, "choose another --out")
     with RowStore(out / ROWS, fingerprint(world, *ROOMS, **made_with)) as store, Pool(arguments.workers) as pool:
         crew, promises = Crew(arguments, store, pool), dict[str, Any]()
@@ -163,15 +165,8 @@ def finish(
         raise InputError("no episode of them counts: each was void, or raised an error; ask for other --faults")
     path, summary_path = write_table(arguments.out, found), arguments.out / SUMMARY
     given = {name: str(v) if isinstance(v, Path) else v for name, v in dataclasses.asdict(arguments).items()}
-    for name in (
-        "out",
-        "workers",
-        "scheduler",
-        "tls_ca",
-        "tls_cert",
-        "tls_key",
-        "replay",
-    ):  # which say nothing of what was found
+    cluster = [option.name for option in dataclasses.fields(ClusterOptions)]
+    for name in ("out", "workers", "replay", *cluster):  # which say nothing of what was found
         del given[name]
     of_each, of_all = cells(found), pooled(found)
     summary = {

@@ -1,6 +1,7 @@
 """The bench's explorer: one HTML file that needs no server; an episode's trace is a script beside it."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -52,9 +53,11 @@ def _coded(values: list[Any]) -> dict[str, list]:
 
 
 def _rounded(value: Any) -> Any:
-    """Floats in it, at any depth, to DIGITS."""
+    """Floats in it, at any depth, to DIGITS; None for those that are no finite numbers, which JSON has not."""
     if isinstance(value, Mapping):
         return {name: _rounded(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_rounded(entry) for entry in value]
-    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+    return value

@@ -17,6 +17,7 @@ from diagrams.monitors.bench_task import BenchTask, Scored, job_of
 from diagrams.monitors.fitting import BETA
 from diagrams.monitors.traces import PICTURES, SHOWN, TRACE, of_run, pictures_file
 from diagrams.world.scenario import load_world
+from models.checks import require_plain
 from models.errors import InputError
 from models.files.container import write_bytes, write_text
 
@@ -60,6 +61,7 @@ def make_replay(folder: Path, key: str) -> int:
 def _task(folder: Path, key: str) -> BenchTask:
     """What made the episode; raises InputError where the bench has none of that key."""
     path = folder / "summary.json"
+    require_plain(path, "choose another --out")
     try:
         summary = json.loads(path.read_text())
         given = {name: value for name, value in summary["arguments"].items() if value is not None}

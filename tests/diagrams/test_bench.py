@@ -71,6 +71,7 @@ def summary(out):
 def test_cells_and_rows(weights, tmp_path, faked, capsys):
     assert bench.main(arguments(weights, tmp_path)) == 0
     found = summary(tmp_path)
+    assert not {"out", "workers", "scheduler", "tls_ca", "replay"} & set(found["arguments"])
     names = [("never", 0), ("oracle", 1), ("recall", 1), ("mahalanobis", 1)]
     order = [(c["fault"], c["detector"], c["recovery"]) for c in found["cells"]]
     assert sorted(order) == sorted(
@@ -255,7 +256,9 @@ def test_a_damaged_tape_is_refused_by_name(weights, tmp_path, faked, ticks, post
         bench.main(arguments(weights, tmp_path, detectors=["speed"]))
 
 
-@pytest.mark.parametrize("name", ["summary.json", "bench.parquet", "networks/lstm.onnx", "tapes/a.npz"])
+@pytest.mark.parametrize(
+    "name", ["summary.json", "bench.parquet", "explorer.html", "networks/lstm.onnx", "tapes/a.npz", "explorer/a.js"]
+)
 def test_a_pipe_among_its_files_is_refused(weights, tmp_path, faked, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     os.mkfifo(tmp_path / name)
@@ -338,7 +341,10 @@ def test_real_episodes(weights, tmp_path, monkeypatch):
     with pytest.raises(InputError, match=f"{key} runs otherwise now"):
         bench.main(asked(replay=key))
     trace.unlink()
-    for wrong, words in ((key, "there is no .*the bench's own command"), ("off-lstm", "--replay off-lstm: .* has no such episode")):
+    for wrong, words in (
+        (key, "there is no .*the bench's own command"),
+        ("off-lstm", "--replay off-lstm: .*no such episode"),
+    ):
         with pytest.raises(InputError, match=words):
             bench.main(asked(replay=wrong))
     (tmp_path / "summary.json").unlink()

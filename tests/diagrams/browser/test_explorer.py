@@ -159,6 +159,7 @@ def row(seed, **changes):
 def test_text_of_the_data_stays_text_and_long_tables_come_in_parts(opened, tmp_path):
     of = functools.partial(row, detector=EVIL)
     cell = dict(detector=EVIL, fault=EVIL, severity=None, recovery="hold", n=250, tasks=None)
+    cell |= {"gap_closed": {"value": 0.5, "interval": [float("nan"), 1.0], "exact": False}}
     write_explorer(tmp_path, [cell], [of(seed) for seed in range(250)], {EVIL: {EVIL: 2.0}}, 30.0, 0.1)
     write_replays(tmp_path / SHOWN)
     trace = dict(hash="", ticks=20, acting=[], events=[[0.0, EVIL]], scores={EVIL: [0.5] * 20})
@@ -167,6 +168,7 @@ def test_text_of_the_data_stays_text_and_long_tables_come_in_parts(opened, tmp_p
     bench_fakes_picture = bench_fakes.pictures_file(bench_fakes.shown(20, False)[0])
     (tmp_path / SHOWN / "off-3.webp").write_bytes(bench_fakes_picture)
     page = opened(tmp_path / "explorer.html")
+    assert page.get_by_role("table", name="cells").locator("td small").inner_text() == "to 1.00"
     assert len(episodes(page)) == 100
     page.get_by_role("button", name="More rows").last.click()
     found = episodes(page)
