@@ -356,5 +356,5 @@ def prepare(given: Path) -> None:
         for index in range(4):
             rng = np.random.default_rng(index)
             wave = 0.1 * np.sin(0.1 * np.arange(60)[:, None] * rng.uniform(0.5, 1.5, 8))
-            file.add(recording(index, posture=home + wave + 0.001 * rng.normal(size=(60, 8))))
+            file.add(recording(index, 60, posture=home + wave + 0.001 * rng.normal(size=(60, 8))))
         file.finish([f"demo_{index}" for index in range(4)])
