@@ -42,6 +42,8 @@ REMEDIES = {
     errno.ENFILE: "raise the limit of open files (ulimit -n), or take fewer --workers",
     errno.ENOMEM: _MEMORY, errno.EAGAIN: "raise the limit of processes (ulimit -u), or take fewer --workers",
 }  # fmt: skip
+# What torch and the loader of libraries say, under types that say nothing of it.
+_NO_MEMORY = re.compile(r"can't allocate memory|out of memory|failed to map segment")
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
 ROOT = Path(__file__).resolve().parents[1]  # of the checkout
 
@@ -82,6 +84,10 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
             code = _bad_input(_of_machine(error))
         except MemoryError as error:
             code = _bad_input(_words(error, f"there is not enough memory: {_MEMORY}"))
+        except (ImportError, RuntimeError) as error:
+            if not _NO_MEMORY.search(str(error)):
+                raise
+            code = _bad_input(f"there is not enough memory: {_MEMORY}")
         except KeyboardInterrupt as end:
             kept = "; ".join(getattr(end, "__notes__", ())) or "start it again"
             _say(f"{interrupts.ENDED}: {kept}")

@@ -119,10 +119,11 @@ def _elsewhere(largest: int, rng: np.random.Generator) -> None:
 
 # Drake 1.51.1 cannot be imported where Python reads files as ASCII (PYTHONUTF8=0, PYTHONCOERCECLOCALE=0).
 ASCII = (("LC_ALL", "C"), ("LANG", "C"), ("PYTHONIOENCODING", "ascii"))
-OUT_OF_ROOM = ("teach", "teach-lerobot", "cae", "rnn", "recall", "calibrate", "baselines", "sweep", "sweep-blocked",
-               "falsify", "return", "resume", "defeat", "bench", "pick_place")  # fmt: skip
+# Not baselines: what it is given lies where it writes.
+OUT_OF_ROOM = ("teach", "teach-lerobot", "cae", "rnn", "recall", "calibrate", "sweep", "sweep-blocked", "falsify",
+                "return", "resume", "defeat", "bench", "pick_place")  # fmt: skip
 CONDITIONS = {
-    "full disk": Condition(before=_fill, after=lambda out: _mount("-o", "remount,size=500m", out),
+    "full disk": Condition(before=_fill, after=lambda out: _mount("-o", "remount,size=2g", out),
                            targets=OUT_OF_ROOM, needs_mounts=True),
     "file size": Condition(on=_file_size, targets=OUT_OF_ROOM),
     "read-only": Condition(before=_read_only, after=lambda out: _mount("-o", "remount,rw,bind", out),

@@ -168,3 +168,19 @@ def test_an_error_of_the_system_that_no_user_can_mend_is_a_bug():
 def test_too_little_memory_is_one_line(capsys):
     assert end_of(raiser(MemoryError())) == 2
     assert capsys.readouterr().err.startswith("error: there is not enough memory: free some")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RuntimeError(
+            "[enforce fail at alloc_cpu.cpp:127] err == 0. DefaultCPUAllocator: can't allocate memory: you ..."
+        ),
+        ImportError("onnx_cpp2py_export.so: failed to map segment from shared object"),
+    ],
+)
+def test_what_others_say_of_too_little_memory_is_one_line(capsys, error):
+    assert end_of(raiser(error)) == 2
+    assert capsys.readouterr().err.startswith("error: there is not enough memory: ")
+    with pytest.raises(RuntimeError, match="another"):
+        end_of(raiser(RuntimeError("another")))
