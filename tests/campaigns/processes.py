@@ -11,6 +11,8 @@ from concurrent.futures import thread
 from dataclasses import dataclass
 from pathlib import Path
 
+from models import interrupts
+
 
 @dataclass
 class Ended:
@@ -43,6 +45,8 @@ class Forked:
                 os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644), number)
                 setattr(sys, ("stdout", "stderr")[number - 1], open(number, "w", closefd=False))  # noqa: SIM115
             signal.signal(signal.SIGINT, signal.default_int_handler)
+            # What the campaign's own program has heard and holds back is not this one's.
+            interrupts._State.running, interrupts._State.asked, interrupts._State.blocks = False, None, 0
             os.environ.update(surroundings)
             program()
             code = 0
