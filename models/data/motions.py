@@ -103,9 +103,11 @@ def _of_lerobot(path: Path, states: Sequence[str]) -> Iterator[Motion]:
         period, known = 1.0 / float(info["fps"]), info["features"]
         if absent := [name for name in (*states, ACTION) if name not in known]:
             raise InputError(f"{path} has no {', '.join(absent)}: choose from {', '.join(known)} by --state")
-        files = sorted((path / "meta" / "episodes").rglob("*.parquet"))
-        episodes = [row for file in files for row in pq.read_table(file).to_pylist()]
-        success = {row["episode_index"]: row["success"] for row in episodes if row.get("success") is not None}
+        success = dict[int, Any]()
+        for file in sorted((path / "meta" / "episodes").rglob("*.parquet")):
+            if "success" in pq.read_schema(file).names:
+                said = pq.read_table(file, columns=["episode_index", "success"]).to_pylist()
+                success |= {row["episode_index"]: row["success"] for row in said}
         columns = [*states, ACTION, "episode_index", *(name for name in ("next.success",) if name in known)]
         parts = [pd.read_parquet(file, columns=columns) for file in sorted((path / "data").rglob("*.parquet"))]
         for index, rows in pd.concat(parts).groupby("episode_index"):

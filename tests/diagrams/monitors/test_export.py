@@ -26,7 +26,7 @@ def made(tmp_path_factory):
     """A bench of one second's runs of an untrained network, and two of its runs as data sets."""
     folder = tmp_path_factory.mktemp("bench")
     weights = save_untrained(tmp_path_factory.mktemp("weights"))
-    given = dict(faults=["friction"], detectors=["recall", "speed"], episodes=1, recoveries=["hold"])
+    given = dict(faults=["friction"], detectors=["recall", "speed", "knn"], episodes=1, recoveries=["hold"])
     with pytest.MonkeyPatch.context() as patch:
         short_runs(patch, 1.2)
         patch.setattr(bench, "run_bench_task", run_bench_task)
@@ -79,7 +79,7 @@ def test_both_data_sets_have_the_same_numbers(made):
             for name, array in given.items():
                 assert np.array_equal(np.stack(rows[name]).reshape(array.shape), array.astype(np.float32)), name
     info = json.loads((made / "data" / LEROBOT / "meta/info.json").read_text())
-    assert info["features"]["observation.scores"]["names"] == ["never", "oracle", "recall", "speed"]
+    assert info["features"]["observation.scores"]["names"] == ["never", "oracle", "recall", "speed", "knn"]
     assert info["features"]["observation.mode"]["shape"] == [1]
 
 
