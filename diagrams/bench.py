@@ -5,6 +5,7 @@
 Each episode is run with the detector off, and all detectors are scored on that one run; each that alarms there is run
 again in closed loop, with each recovery. Started again with the same --out it runs what is missing; more detectors,
 faults, severities, training seeds and recoveries may be asked for, fewer too. diagrams/BENCH.md has the definitions.
+`bench.py export` writes its runs as data sets; `bench.py offline` scores recorded runs of anybody's arm.
 Exit code 0: done; 1: some episode raised an error; 2: bad input.
 """
 
@@ -33,7 +34,9 @@ from diagrams.monitors.bench_plan import (
     undisturbed,
 )
 from diagrams.monitors.bench_task import TAPES, BenchTask, error_row, require_whole, run_bench_task
+from diagrams.monitors.export import Export
 from diagrams.monitors.fitting import BETA
+from diagrams.monitors.offline import Offline
 from diagrams.monitors.traces import SHOWN, TRACE
 from diagrams.sweeps.cluster_options import ClusterOptions
 from diagrams.sweeps.task import believed
@@ -49,8 +52,14 @@ ROWS, SUMMARY = "rows.jsonl", "summary.json"  # in the folder --out
 ROOMS = ("diagrams/monitors", "models/data/runs.py", "models/networks/perceptron.py")
 
 
-def parse(arguments: list[str] | None = None) -> BenchArguments:
+OTHERS = {"export": Export, "offline": Offline}  # what the first word may name instead of a bench
+
+
+def parse(arguments: list[str] | None = None) -> BenchArguments | Export | Offline:
     """The command line."""
+    first, *others = (sys.argv[1:] if arguments is None else arguments) or [""]
+    if first in OTHERS:
+        return tyro.cli(OTHERS[first], args=others, prog=f"bench.py {first}")
     return tyro.cli(BenchArguments, args=arguments, description=__doc__)
 
 
@@ -99,8 +108,10 @@ class Crew:
         return cluster, cluster.with_files(run_bench_task)
 
 
-def main(arguments: BenchArguments) -> int:
+def main(arguments: BenchArguments | Export | Offline) -> int:
     """Runs what is missing, writes what is found, prints the table; returns the exit code."""
+    if not isinstance(arguments, BenchArguments):
+        return arguments.run()
     if arguments.replay is not None:
         from diagrams.monitors.replays import make_replay
 

@@ -7,7 +7,6 @@ run goes on where it stopped; the same seed gives the same content. Exit code 1:
 """
 
 import dataclasses
-import json
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,10 +14,9 @@ from typing import Any, Literal
 
 import tyro
 
-from diagrams.episodes.compatibility import facts
+from diagrams.episodes.compatibility import of_data_sets
 from diagrams.episodes.cores import cores
 from diagrams.episodes.pool import MOST_WORKERS, Pool, kept_in_thread
-from diagrams.world.names import ARM_JOINTS
 from models.checks import LARGEST_SEED, require_numbers
 from models.command_line import require, run
 
@@ -61,13 +59,7 @@ def main(arguments: TeachArguments) -> int:
     world = load_world(arguments.world)
     todo = setups(world, arguments.seed)[: arguments.limit]
     settings = {"world": dataclasses.asdict(world), "seed": arguments.seed}
-    attributes = {
-        "initial_posture": world.initial_posture,
-        "period": world.timing.period,
-        "world": json.dumps(facts(world)),
-        "posture_names": json.dumps([f"joint_{j + 1}" for j in range(ARM_JOINTS)] + ["opening"]),
-    }
-    opened = _layout(arguments.format)(arguments.out, settings, attributes)
+    opened = _layout(arguments.format)(arguments.out, settings, of_data_sets(world))
     with Pool(arguments.workers) as pool, opened as file:
         missing = [(world, setup) for setup in todo if setup.name not in file]
         done = len(todo) - len(missing)

@@ -11,6 +11,7 @@ import shlex
 import pytest
 
 from diagrams.analysis import ANALYSES
+from diagrams.bench import OTHERS
 from models.command_line import ROOT
 from models.training.__main__ import commands as training_commands
 
@@ -19,8 +20,9 @@ PAGES = sorted(
     [ROOT / "README.md", *(page for room in ROOT.iterdir() if room.name in ROOMS for page in room.rglob("*.md"))]
 )
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
-# The programs with commands; every other program takes options alone.
+# The programs with commands, which may take options alone too; every other program does.
 SUBCOMMANDS = {"diagrams.analysis": tuple(ANALYSES), "models.training.__main__": tuple(training_commands())}
+SUBCOMMANDS |= {"diagrams.bench": tuple(OTHERS)}
 CAMPAIGNS = tuple(
     f"tests.campaigns.{path.stem}" for path in ROOT.glob("tests/campaigns/*.py") if "def parse(" in path.read_text()
 )
@@ -62,9 +64,7 @@ def options(module, *command):
 
 def of_program(module):
     """The options of a program with those of its commands."""
-    return set().union(*(options(module, command) for command in SUBCOMMANDS[module])) if module in SUBCOMMANDS else (
-        options(module)
-    )  # fmt: skip
+    return options(module).union(*(options(module, command) for command in SUBCOMMANDS.get(module, ())))
 
 
 OURS = [

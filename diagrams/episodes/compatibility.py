@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
 
 from diagrams.world.configuration import World
+from diagrams.world.names import ARM_JOINTS
 from models.errors import InputError
 
 # What is taken for granted of a graph from elsewhere whose header has no entry `world`.
@@ -21,6 +23,16 @@ def facts(world: World) -> dict[str, Any]:
         "period": world.timing.period,
         "camera": [camera.width, camera.height, camera.field_of_view_deg],
         "closed_opening": world.closed_opening,
+    }
+
+
+def of_data_sets(world: World) -> dict[str, Any]:
+    """What a data set of runs in `world` says of all of them: see models/data/recording.py and lerobot.py."""
+    return {
+        "initial_posture": world.initial_posture,
+        "period": world.timing.period,
+        "world": json.dumps(facts(world)),
+        "posture_names": json.dumps([f"joint_{j + 1}" for j in range(ARM_JOINTS)] + ["opening"]),
     }
 
 

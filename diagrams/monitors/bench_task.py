@@ -109,7 +109,7 @@ def run_bench_task(folder: Path, task: BenchTask) -> dict[str, Any]:
             outcome, more = _in_loop(task, job)
         else:
             run, record = taped_and_recorded(job)
-            outcome, found = run.outcome, _ratios(path, task, run)
+            outcome, found = run.outcome, all_ratios(path, task, run)
             more = {"onset": run.onset, "ticks": len(run.tape.posture), "detectors": _scores(task, run, found)}
             if task.stage == "fit":
                 more[TAPES] = tape_bytes(run.tape)
@@ -154,7 +154,7 @@ def error_row(task: BenchTask, error: BaseException) -> dict[str, Any]:
     return {"error": words, "traceback": "".join(traceback.format_exception(error)), "weights_hash": task.weights_hash}
 
 
-def _ratios(path: Path, task: BenchTask, run: TapedRun) -> dict[str, np.ndarray]:
+def all_ratios(path: Path, task: BenchTask, run: TapedRun) -> dict[str, np.ndarray]:
     """Of each detector of the task, on the run's tape, by its label: see `ratios`."""
     policy: Policy = kept_in_thread(("bench_policy", path, task.weights_hash), lambda: Policy(path))
     return {scored.label: ratios(scored, policy, path.parent, run.tape) for scored in task.detectors}

@@ -60,22 +60,31 @@ def make_replay(folder: Path, key: str) -> int:
 
 def _task(folder: Path, key: str) -> BenchTask:
     """What made the episode; raises InputError where the bench has none of that key."""
+    option = f"--replay {key:.80}"
+    found = next((task for task in tasks_of(folder, option) if task.key == key), None)
+    if found is None:
+        raise InputError(
+            f"{option}: the bench in {folder} has no such episode: choose one that explorer.html there names"
+        )
+    return found
+
+
+def tasks_of(folder: Path, option: str) -> list[BenchTask]:
+    """Every episode that the page of the bench in `folder` may show; raises InputError where there is no bench.
+
+    `option`: what the user gave, for messages.
+    """
     path = folder / "summary.json"
     require_plain(path, "choose another --out")
     try:
         summary = json.loads(path.read_text())
         given = {name: value for name, value in summary["arguments"].items() if value is not None}
         given |= {name: Path(given[name]) for name in ("weights", "world") if name in given}
-        found = next((task for task in _tasks(folder, BenchArguments(**given), summary) if task.key == key), None)
+        return list(_tasks(folder, BenchArguments(**given), summary))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"--replay {key:.80}: {path} is no summary of a bench ({error}): run the bench in --out, then ask again"
+            f"{option}: {path} is no summary of a bench ({error}): run the bench in --out, then ask again"
         ) from error
-    if found is None:
-        raise InputError(
-            f"--replay {key:.80}: the bench in {folder} has no such episode: choose one that explorer.html there names"
-        )
-    return found
 
 
 def _tasks(folder: Path, arguments: BenchArguments, summary: dict[str, Any]) -> Iterator[BenchTask]:

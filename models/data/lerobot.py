@@ -1,10 +1,10 @@
-"""Writes demonstrations as a LeRobotDataset v3.0: a folder of Parquet, MP4 and JSON files.
+"""Writes demonstrations, and other runs, as a LeRobotDataset v3.0: a folder of Parquet, MP4 and JSON files.
 
     meta/info.json, meta/stats.json, meta/tasks.parquet, meta/episodes/chunk-000/file-000.parquet
     data/chunk-000/file-N.parquet, videos/observation.images.camera/chunk-000/file-N.mp4: of demonstration N
 
-The columns of an episode beside LeRobot's: split, success, can_xy, vacant, grid_index, subtask_starts, as in the
-robomimic layout (models/data/recording.py). Pictures are compressed (H.264), numbers are float32.
+The columns of an episode beside LeRobot's: its attributes, as in the robomimic layout (models/data/recording.py).
+Pictures are compressed (H.264), numbers are float32; further arrays of a run are observation.NAME.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from models.data.demonstrations import number_of
-from models.data.recording import Recording
+from models.data.recording import RecordedRun, Recording, digest_of
 from models.errors import InputError
 from models.files.container import locked, whole_file, write_bytes
 
@@ -36,7 +36,6 @@ CODEC, CODEC_OPTIONS = "libx264", {
 _PLACES = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _NUMBERS = {"timestamp": "float32", "frame_index": "int64", "episode_index": "int64", "index": "int64"}
 _NUMBERS |= {"task_index": "int64"}
-_ATTRIBUTES = ("split", "success", "can_xy", "vacant", "grid_index", "subtask_starts")
 
 
 class LeRobotFolder(AbstractContextManager):
@@ -47,13 +46,14 @@ class LeRobotFolder(AbstractContextManager):
 
     def __init__(self, path: Path, settings: dict[str, Any], attributes: dict[str, Any]):
         """Opens or begins the folder; see RecordingFile. `attributes` have `period` (s), `posture_names` and `world`
-        (JSON; its models name the robot).
+        (JSON; its models name the robot); `names`, if it is there, names the components of further arrays, by array.
 
         Raises InputError where it cannot be written, is anything else, or was recorded with other settings.
         """
         self._held = ExitStack()
         self._path, self._attributes = path, {k: np.asarray(v).tolist() for k, v in attributes.items()}
         self._names = json.loads(attributes["posture_names"])
+        self._further_names = {f"observation.{key}": n for key, n in json.loads(attributes.get("names", "{}")).items()}
         self._robot = json.loads(attributes["world"])["models"].partition(".")[0]
         self._fps = round(1.0 / attributes["period"])
         if not np.isclose(self._fps * attributes["period"], 1.0, rtol=0.0, atol=1e-9):
@@ -64,7 +64,7 @@ class LeRobotFolder(AbstractContextManager):
         kept, text = path / SETTINGS, json.loads(json.dumps(settings))
         try:
             if path.exists() and not kept.is_file() and (not path.is_dir() or any(path.iterdir())):
-                raise InputError(f"{path} is no data set of diagrams/teach.py: choose another --out")
+                raise InputError(f"{path} is no data set of this program: choose another --out")
             if kept.is_file():
                 found = json.loads(kept.read_text())["settings"]
                 if others := [name for name, value in text.items() if found.get(name) != value]:
@@ -87,7 +87,7 @@ class LeRobotFolder(AbstractContextManager):
     def __contains__(self, name: str) -> bool:
         return self._data(number_of(name)).is_file() and self._video(number_of(name)).is_file()
 
-    def add(self, recording: Recording) -> None:
+    def add(self, recording: Recording | RecordedRun) -> None:
         """Writes one demonstration; it is whole on the disk when this returns."""
         number = number_of(recording.name)
         self._encode(self._video(number), recording.rgb)
@@ -98,11 +98,9 @@ class LeRobotFolder(AbstractContextManager):
             "episode_index": pa.array(np.full_like(ticks, number)), "index": pa.array(number * len(ticks) + ticks),
             "task_index": pa.array(np.full_like(ticks, list(TASKS).index(recording.vacant))),
         }  # fmt: skip
-        digest = hashlib.sha256()
-        for array in (recording.rgb, recording.posture, recording.actions):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        notes = {name: np.asarray(getattr(recording, name)).tolist() for name in _ATTRIBUTES}
-        notes["content"] = hashlib.sha256(digest.digest() + json.dumps(notes).encode()).hexdigest()
+        columns |= {f"observation.{name}": _rows(array) for name, array in recording.further.items()}
+        notes = {name: np.asarray(value).tolist() for name, value in recording.attributes.items()}
+        notes["content"] = digest_of(recording)
         # What the statistics need of the pictures: how often each channel has each value.
         counts = [np.bincount(recording.rgb[..., c].ravel(), minlength=256).tolist() for c in range(3)]
         table = pa.table(columns).replace_schema_metadata({"hindsight": json.dumps(notes | {"counts": counts})})
@@ -121,8 +119,8 @@ class LeRobotFolder(AbstractContextManager):
         surplus = found - wanted
         if others := sum(path.suffix == ".parquet" for path in surplus):
             raise InputError(
-                f"{self._path} has {others} demonstrations beyond the {len(names)} that are asked for: raise --limit, "
-                "or choose another --out"
+                f"{self._path} has {others} demonstrations beyond the {len(names)} that are asked for: ask for them "
+                "too, or choose another --out"
             )
         for path in surplus:
             path.unlink()
@@ -167,11 +165,13 @@ class LeRobotFolder(AbstractContextManager):
         whole[CAMERA] = _of_pictures(counts, first)
         write_bytes(self._path / "meta" / "stats.json", json.dumps(whole, indent=1).encode())
         content = digest.hexdigest()
-        info = self._info(self._video(min(map(number_of, names))), len(rows), first) | {"content_hash": content}
+        sizes = {key: parts[0].shape[1] for key, parts in values.items() if key not in _NUMBERS}
+        info = self._info(self._video(min(map(number_of, names))), len(rows), first, sizes) | {"content_hash": content}
         write_bytes(self._path / "meta" / "info.json", json.dumps(info, indent=1).encode())
         return content, failed
 
-    def _info(self, video_path: Path, episodes: int, frames: int) -> dict[str, Any]:
+    def _info(self, video_path: Path, episodes: int, frames: int, sizes: dict[str, int]) -> dict[str, Any]:
+        """`sizes`: components of each array."""
         import av
 
         with av.open(str(video_path)) as container:
@@ -183,8 +183,9 @@ class LeRobotFolder(AbstractContextManager):
         features: dict[str, dict[str, Any]] = {
             CAMERA: {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"], "info": video}
         }
-        for key in ("observation.state", "action"):
-            features[key] = {"dtype": "float32", "shape": [len(self._names)], "names": self._names}
+        named = self._further_names | dict.fromkeys(("observation.state", "action"), self._names)
+        for key, size in sizes.items():
+            features[key] = {"dtype": "float32", "shape": [size], "names": named.get(key)}
         features |= {key: {"dtype": kind, "shape": [1], "names": None} for key, kind in _NUMBERS.items()}
         return {
             "codebase_version": VERSION, "robot_type": self._robot, "total_episodes": episodes, "total_frames": frames,
@@ -218,7 +219,9 @@ class LeRobotFolder(AbstractContextManager):
 
 
 def _rows(array: np.ndarray) -> pa.Array:
-    """(T, n) as a column of lists of n float32."""
+    """(T, n) as a column of lists of n float32; of n = 1, as LeRobot has it, of numbers."""
+    if array.shape[1] == 1:
+        return pa.array(array[:, 0], pa.float32())
     return pa.FixedSizeListArray.from_arrays(pa.array(array.ravel(), pa.float32()), array.shape[1])
 
 

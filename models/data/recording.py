@@ -1,13 +1,13 @@
-"""Writes the teacher's demonstrations to one HDF5 file in robomimic's layout, which demonstrations.py reads."""
+"""Writes demonstrations, and other runs, to one HDF5 file in robomimic's layout, which demonstrations.py reads."""
 
 import hashlib
 import io
 import json
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,61 @@ class Recording(Demonstration):
     rgb: np.ndarray
     grid_index: tuple[int, int]
     success: bool
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What a file says of the whole, beside its arrays."""
+        names = ("can_xy", "vacant", "grid_index", "subtask_starts", "split", "success")
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def further(self) -> dict[str, np.ndarray]:
+        """Arrays beside pictures, postures and actions: none."""
+        return {}
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """Another run, for the same files; its name is demo_ and a number.
+
+    Attributes:
+        split: "train" or "valid".
+        vacant: "left" or "right".
+        success: the task was done.
+        rgb, posture, actions: as of a Recording.
+        further: arrays (T, n) by name.
+        notes: what a file says of the whole besides; plain types, by name.
+    """
+
+    name: str
+    split: str
+    vacant: str
+    success: bool
+    rgb: np.ndarray
+    posture: np.ndarray
+    actions: np.ndarray
+    further: Mapping[str, np.ndarray] = field(default_factory=dict)
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """As of a Recording."""
+        return {"split": self.split, "success": self.success, "vacant": self.vacant, **self.notes}
+
+
+def arrays_of(recording: Recording | RecordedRun) -> dict[str, np.ndarray]:
+    """Its arrays, by their names in the file."""
+    own = {key: getattr(recording, name) for key, name in _ARRAYS.items()}
+    return own | {f"obs/{name}": array for name, array in recording.further.items()}
+
+
+def digest_of(recording: Recording | RecordedRun) -> str:
+    """SHA-256 (hexadecimal) of all its numbers and attributes."""
+    digest = hashlib.sha256()
+    for key, array in arrays_of(recording).items():
+        digest.update(f"{key} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    notes = {name: np.asarray(value).tolist() for name, value in recording.attributes.items()}
+    return hashlib.sha256(digest.digest() + json.dumps(notes, sort_keys=True).encode()).hexdigest()
 
 
 class RecordingFile(AbstractContextManager):
@@ -85,20 +140,19 @@ class RecordingFile(AbstractContextManager):
     def __contains__(self, name: str) -> bool:
         return name in self._data
 
-    def add(self, recording: Recording) -> None:
+    def add(self, recording: Recording | RecordedRun) -> None:
         """Writes one demonstration; it is whole in the file when this returns. An OSError leaves the file whole."""
-        self._reserve(sum(getattr(recording, name).nbytes for name in _ARRAYS.values()))
+        arrays = arrays_of(recording)
+        self._reserve(sum(array.nbytes for array in arrays.values()))
         partial = f"partial_{recording.name}"
         if partial in self._file:  # left by a kill in the middle of a write
             del self._file[partial]
         group = self._file.create_group(partial)
-        for key, name in _ARRAYS.items():
-            array = getattr(recording, name)
+        for key, array in arrays.items():
             chunks = min(32, len(array)), *array.shape[1:]
             group.create_dataset(key, data=array, compression="gzip", compression_opts=1, chunks=chunks)
         group.attrs["num_samples"] = len(recording.actions)
-        for name in ("can_xy", "vacant", "grid_index", "subtask_starts", "split", "success"):
-            group.attrs[name] = getattr(recording, name)
+        group.attrs.update(recording.attributes)
         self._file.move(partial, f"data/{recording.name}")
         self._file.flush()
 
@@ -129,7 +183,7 @@ def content_hash(file: h5py.File) -> str:
     for name in sorted(listed, key=number_of):
         demonstration = file["data"][name]
         digest.update(name.encode())
-        for key in _ARRAYS:
+        for key in dict.fromkeys((*_ARRAYS, *(f"obs/{name}" for name in sorted(demonstration["obs"])))):
             digest.update(np.ascontiguousarray(demonstration[key][()]).tobytes())
         attributes = {k: np.asarray(v).tolist() for k, v in sorted(demonstration.attrs.items())}
         digest.update(json.dumps(attributes).encode())
@@ -141,7 +195,7 @@ def _require_same(path: Path, file: h5py.File, settings: dict[str, Any]) -> None
         found = json.loads(file["data"].attrs["env_args"])
         others = [name for name, value in settings.items() if found[name] != value]
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path} is no recording of diagrams/teach.py: choose another --out") from error
+        raise InputError(f"{path} is no recording of this program: choose another --out") from error
     if others:
         words = " and another ".join(others)
         raise InputError(f"{path} was recorded with another {words}: delete it, or choose another --out")

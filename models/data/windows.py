@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.errors import InputError
-
 WINDOW = 10  # samples
 AXES = 2
 _UNIT = 1e-4  # rad: the angles are stored as 16-bit multiples of it
@@ -28,17 +26,16 @@ def leading_axes(windows: np.ndarray) -> np.ndarray:
 def encode_runs(runs: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """Runs (T_i, J) in rad as a file keeps them: angles (sum T_i, J) int16 of 1e-4 rad, and the runs' lengths, int32.
 
-    Raises InputError for an angle beyond what 16 bits hold.
+    Where 16 bits do not hold that (another arm's joints, or degrees), `unit` (1,) is the least larger one that they do.
     """
-    counts, limit = np.round(np.concatenate(runs) / _UNIT), np.iinfo(np.int16).max
-    if np.abs(counts).max() > limit:
-        raise InputError(
-            f"an angle of {np.abs(counts).max() * _UNIT:.2f} rad cannot be stored; "
-            f"the limit is {limit * _UNIT:.2f} rad: take runs within it"
-        )
-    return {"angles": counts.astype(np.int16), "lengths": np.array([len(run) for run in runs], np.int32)}
+    values, limit = np.concatenate(runs), np.iinfo(np.int16).max
+    unit = max(_UNIT, float(np.abs(values).max()) / limit)
+    lengths = np.array([len(run) for run in runs], np.int32)
+    arrays: dict[str, np.ndarray] = {"angles": np.round(values / unit).astype(np.int16), "lengths": lengths}
+    return arrays if unit == _UNIT else arrays | {"unit": np.array([unit])}
 
 
 def decode_runs(arrays: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     """The runs (T_i, J) in rad that encode_runs rounded: what is evaluated is what was stored."""
-    return np.split(_UNIT * arrays["angles"].astype(float), np.cumsum(arrays["lengths"])[:-1])
+    unit = arrays.get("unit", np.array([_UNIT]))
+    return np.split(unit * arrays["angles"].astype(float), np.cumsum(arrays["lengths"])[:-1])

@@ -111,7 +111,7 @@ def test_a_file_of_someone_else_is_refused_untouched(tmp_path, env_args):
         if env_args is not None:
             file.create_group("data").attrs["env_args"] = env_args
     before = path.read_bytes()
-    with pytest.raises(InputError, match=r"theirs\.h5 is no recording of diagrams/teach\.py: choose another"):
+    with pytest.raises(InputError, match=r"theirs\.h5 is no recording of this program: choose another"):
         record(path, [0])
     assert path.read_bytes() == before
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from models.data.windows import decode_runs, encode_runs, leading_axes, posture_windows
-from models.errors import InputError
 
 
 def test_windows_are_newest_first_and_never_of_two_runs():
@@ -34,6 +33,9 @@ def test_runs_are_stored_in_tenths_of_a_milliradian():
     assert all(np.array_equal(encoded[name], again[name]) for name in encoded)
 
 
-def test_an_angle_that_cannot_be_stored_is_refused():
-    with pytest.raises(InputError, match=r"4\.00 rad cannot be stored; the limit is 3\.28 rad"):
-        encode_runs([np.full((10, 2), 4.0)])
+def test_larger_angles_are_stored_in_a_larger_unit():
+    runs = [np.array([[4.0, -360.0], [0.02, 17.0]])]
+    encoded = encode_runs(runs)
+    assert encoded["angles"].tolist()[0] == [364, -32767]
+    assert encoded["unit"] == pytest.approx([360.0 / 32767])
+    assert decode_runs(encoded)[0] == pytest.approx(runs[0], abs=0.5 * 360.0 / 32767)
