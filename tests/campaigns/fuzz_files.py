@@ -50,8 +50,9 @@ def _hdf5(draw: Any, content: bytes) -> bytes:
                 elif bent == 4:
                     file[name] = np.zeros(len(value), "S5")
                 elif bent == 5:  # nothing of it is there
+                    dtype = value.dtype if value.dtype.itemsize else "S1"  # of empty text there is no file
                     file.create_dataset(
-                        name, shape=(10**7, *value.shape[1:]), dtype=value.dtype, chunks=(1, *value.shape[1:])
+                        name, shape=(10**7, *value.shape[1:]), dtype=dtype, chunks=(1, *value.shape[1:])
                     )
                 elif bent == 6:
                     file[name] = h5py.SoftLink(f"/{name}")
