@@ -1,10 +1,12 @@
 """The one store for what is resumed: rows appended to a file, a line of JSON each, on disk before they are counted."""
 
+import dataclasses
 import json
 import os
+import types
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from models.checks import require_plain
 from models.errors import InputError
@@ -75,7 +77,7 @@ class RowStore:
         """`of` of the row under `key`; raises InputError where it is none that `of` can read."""
         try:
             return of(self.rows[key])
-        except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
             raise InputError(
                 f"{self.path} is damaged in the row {key!s:.80}: delete that line, or choose another {self._option}"
             ) from error
@@ -109,6 +111,31 @@ class RowStore:
             except OSError:
                 self._file.truncate(size)  # no half of a line that a later one would follow
                 raise
+
+
+def of_plain(kind: Any, value: Any) -> Any:
+    """What `asdict` and JSON made of a `kind`, a dataclass or what its fields are, once more as one.
+
+    Raises ValueError, TypeError or OverflowError where a value has another type: Python itself looks at none.
+    """
+    if get_origin(kind) in (Union, types.UnionType):
+        if value is None:
+            return None
+        [kind] = [part for part in get_args(kind) if part is not type(None)]
+    if dataclasses.is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return kind(**{name: of_plain(hints.get(name, type(None)), inner) for name, inner in value.items()})  # type: ignore[operator]
+    if get_origin(kind) in (list, tuple):
+        inner, *others = get_args(kind)
+        if not isinstance(value, list | tuple) or (
+            others and others[-1] is not Ellipsis and len(value) != 1 + len(others)
+        ):
+            raise ValueError(f"{value!s:.60} is no {kind}")
+        return get_origin(kind)(of_plain(inner, entry) for entry in value)  # type: ignore[misc]
+    fits = isinstance(value, int | float) if kind is float else isinstance(value, kind)
+    if not fits or (isinstance(value, bool) and kind is not bool):
+        raise ValueError(f"{value!s:.60} is no {kind}")
+    return float(value) if kind is float else value
 
 
 def _require_same(path: Path, have: dict[str, Any], want: dict[str, Any], option: str) -> None:

@@ -11,10 +11,8 @@ from diagrams.episodes.episode import Episode, Outcome
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.record import Record, record_hash
 from diagrams.episodes.runner import Job, run_branched, run_episode
-from diagrams.episodes.store import RowStore
+from diagrams.episodes.store import RowStore, of_plain
 from diagrams.hybrid.severity import severity
-from diagrams.world.disturbance import DisturbanceSpec
-from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ARM_JOINTS
 
 
@@ -47,13 +45,8 @@ class Case:
     @classmethod
     def of_row(cls, row: dict[str, Any]) -> Self:
         """From a row of the store: what `asdict` made of a case."""
-        given = row["episode"]
-        changed = {
-            "can_xy": tuple(given["can_xy"]),
-            "disturbance": DisturbanceSpec(**given["disturbance"]),
-            "hands": HandsSchedule(**given["hands"]),
-        }
-        return cls(**row | {"episode": Episode(**given | changed)})
+        case: Self = of_plain(cls, row)
+        return case
 
 
 def run_case(job: tuple[Job, float, bool]) -> Case:

@@ -9,6 +9,7 @@ of their own test it: T where each arm came home says which of them will not res
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any, ClassVar
 
@@ -18,7 +19,7 @@ from diagrams.episodes.calibration import Controller, stored_calibration
 from diagrams.episodes.pool import MOST_WORKERS, Pool, kept_in_thread
 from diagrams.episodes.runner import Job, build_rollout, run_episode
 from diagrams.episodes.sampling import SEED_BLOCKS, EpisodeSampler, episode_seeds
-from diagrams.episodes.store import RowStore
+from diagrams.episodes.store import RowStore, of_plain
 from diagrams.hybrid.box_gauge import BoxGauge
 from diagrams.hybrid.common import NetworkArguments, fingerprint_with_analyses
 from diagrams.hybrid.resumption_report import (
@@ -108,7 +109,7 @@ class Resume(NetworkArguments):
                 for given, found in pool.run(run_scene, missing):
                     store.add(given.key, [asdict(row) for row in found])
                     bar.update(min(sum(row.rule == own for row in found), bar.total - bar.n))
-                done.extend(store.read(given.key, lambda rows: [Row(**row) for row in rows]) for given in jobs)
+                done.extend(store.read(given.key, partial(of_plain, list[Row])) for given in jobs)
                 bar.n = sum(
                     min(count, self.starts) for count in counts(done, own)
                 )  # what is too much of a kind is left out
@@ -154,7 +155,7 @@ class Resume(NetworkArguments):
             for given, found in pool.run(run_disturbed, missing):
                 store.add(f"run {given.seed}", asdict(found))
                 bar.update()
-        return [store.read(f"run {given.seed}", lambda row: RunRow(**row)) for given in jobs]
+        return [store.read(f"run {given.seed}", partial(of_plain, RunRow)) for given in jobs]
 
 
 def counts(scenes: list[list["Row"]], rule: str) -> list[int]:

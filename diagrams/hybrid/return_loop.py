@@ -1,7 +1,7 @@
 """The closed loop in mode `return` on the full plant: servo, effort limits, gravity, contact; no camera, no network."""
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Self, get_type_hints
 
 import numpy as np
 from pydrake.multibody.math import SpatialVelocity
@@ -9,6 +9,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import PassThrough
 
+from diagrams.episodes.store import of_plain
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.clearance_map import add_clearance_filter
 from diagrams.world.configuration import World
@@ -71,7 +72,10 @@ class Trajectory:
         """From what `row` gave; raises ValueError, TypeError where it is something else."""
         rows, *others = row
         found = cls(np.array(rows, float).reshape(-1, ARM_JOINTS), *others)
-        if not len(found.rows) or not all(isinstance(v, float | int | None) for v in (found.nearest, found.slip)):
+        for name, kind in get_type_hints(cls).items():
+            if name != "rows":
+                of_plain(kind, getattr(found, name))
+        if not len(found.rows):
             raise ValueError("no way home")
         return found
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from diagrams.episodes.pool import Pool, kept_in_thread
 from diagrams.episodes.sampling import EpisodeSampler
-from diagrams.episodes.store import RowStore
+from diagrams.episodes.store import RowStore, of_plain
 from diagrams.hybrid.box_gauge import BoxGauge
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
@@ -31,8 +31,11 @@ class Sample:
 
     @classmethod
     def of(cls, row: dict[str, Any]) -> Self:
-        """From the dictionary of its fields, as JSON gives it."""
-        return cls(tuple(row["joints"]), tuple(row["can_xy"]), row["vacant"], row["held"])
+        """From the dictionary of its fields, as JSON gives it; raises ValueError, TypeError where it is none."""
+        sample: Self = of_plain(cls, row)
+        if len(sample.joints) != ARM_JOINTS or sample.vacant not in SPOTS:
+            raise ValueError("no sample")
+        return sample
 
 
 def box_samples(

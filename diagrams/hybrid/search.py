@@ -9,9 +9,8 @@ import numpy as np
 
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.record import Record, record_hash
-from diagrams.episodes.store import RowStore
+from diagrams.episodes.store import RowStore, of_plain
 from diagrams.hybrid.perturbations import Perturbation, judge
-from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.names import ARM_JOINTS
 from models.interrupts import Interrupted, held
 
@@ -46,9 +45,8 @@ class Trial:
     @classmethod
     def of_row(cls, row: dict[str, Any]) -> Self:
         """From a row of the store: what `asdict` made of a trial."""
-        given = row["perturbation"]
-        perturbation = Perturbation(**given | {"disturbance": DisturbanceSpec(**given["disturbance"])})
-        return cls(**row | {"perturbation": perturbation})
+        trial: Self = of_plain(cls, row)
+        return trial
 
 
 def make_sampler(name: str, seed: int):

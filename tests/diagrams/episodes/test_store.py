@@ -1,5 +1,7 @@
 """The store: rows survive a kill, and rows of another world or code are not mixed in."""
 
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from diagrams.episodes.episode import Episode
 from diagrams.episodes.fingerprint import code_hash, fingerprint
-from diagrams.episodes.store import RowStore
+from diagrams.episodes.store import RowStore, of_plain
 from diagrams.world.configuration import Timing, World
+from diagrams.world.disturbance import DisturbanceSpec
 from models.errors import InputError
 
 IDENTITY = {"code": "abc", "seed": 0}
@@ -126,3 +130,19 @@ def test_a_row_of_another_kind_is_named(tmp_path, row):
         assert store.read("two", lambda found: found["a"]) == 2
         with pytest.raises(InputError, match=r"rows.jsonl is damaged in the row one: .*another --there"):
             store.read("one", lambda found: found["a"])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("seed", "x"), ("seed", True), ("seed", 1.5), ("can_xy", [1.0]), ("can_xy", "ab"), ("can_xy", [1.0, 10**400]),
+     ("way_home_clear", 1), ("vacant", None), ("disturbance", []), ("disturbance", {"level": "x"}), ("other", 1)],
+)  # fmt: skip
+def test_a_row_whose_values_are_of_another_type_is_named(tmp_path, name, value):
+    episode = Episode(7, (0.5, 0), "left", DisturbanceSpec("A", 0.1, [0.0, 1], 3, subtask=2), way_home_clear=True)
+    with RowStore(tmp_path / "rows.jsonl", IDENTITY) as store:
+        store.add("one", asdict(episode))
+        store.add("two", asdict(episode) | {name: value})
+    with RowStore(tmp_path / "rows.jsonl", IDENTITY) as store:
+        assert store.read("one", partial(of_plain, Episode)) == episode
+        with pytest.raises(InputError, match="is damaged in the row two"):
+            store.read("two", partial(of_plain, Episode))
