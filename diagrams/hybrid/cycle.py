@@ -27,6 +27,7 @@ FORETOLD = "way_home", "resumption"  # arrows that the sweep is compared with
 LARGEST_REPORT = 100_000_000  # bytes
 # May differ, and are told then: a report takes hours, and few changes of the code change what it measures.
 CODES = ("code", "analyses")
+SIGNIFICANT = 0.05  # p of a sweep that fails more often than an arrow
 BY = "by the arm or a can in the hand (what a can that left the hand knocks over is not seen)"
 
 
@@ -95,7 +96,7 @@ class Cycle(Arguments):
         """The sweep's episodes, without what is missing in them."""
         from models.command_line import require
 
-        require("pandas", "pyarrow")
+        require("pandas", "pyarrow", "scipy")
         import pandas as pd
 
         path = self.sweep / EPISODES
@@ -204,14 +205,20 @@ def _against(
 ) -> dict[str, Any]:
     """What the arrow `name` foretells, beside the `rows` of the sweep; `wrong`: in what ways one may have failed.
 
-    Of no rows `agrees` is None.
+    `p`: of so many failures among the rows, or more, if both had one probability (Fisher's exact test, one-sided; two
+    bounds beside each other would hardly ever contradict). They agree where it is at least SIGNIFICANT; of no rows
+    both are None.
     """
-    foretold = {arrow["name"]: arrow["bound"] for arrow in arrows}[name]
+    from scipy.stats import fisher_exact
+
+    [arrow] = [arrow for arrow in arrows if arrow["name"] == name]
     n, failed = len(rows), sum(any(of(row) for of in wrong.values()) for row in rows)
-    at_least = 1.0 - bound(n - failed, n)
-    measured = {"samples": n, "failures": failed, "at_least": at_least, "bound": bound(failed, n)}
+    measured = {"samples": n, "failures": failed, "bound": bound(failed, n)}
     measured |= {which: sum(map(of, rows)) for which, of in wrong.items()}
-    return {"foretold_bound": foretold, "measured": measured, "agrees": at_least <= foretold if n else None}
+    counts = [[failed, n - failed], [arrow["failures"], arrow["samples"] - arrow["failures"]]]
+    p = float(fisher_exact(counts, alternative="greater").pvalue) if n else None
+    agrees = None if p is None else p >= SIGNIFICANT
+    return {"foretold_bound": arrow["bound"], "measured": measured, "p": p, "agrees": agrees}
 
 
 def _arrows(
@@ -306,6 +313,8 @@ def table(found: dict[str, Any]) -> str:
         line = f"not {what}: foretold at most {foretold:.2e}; {seen['failures']} of {seen['samples']} disturbed runs"
         if name == "way_home":
             line += f" ({seen['not_returned']} not home, {seen['touched']} touch something)"
+        if found[name]["p"] is not None:
+            line += f", p {found[name]['p']:.2g}" + ("" if found[name]["agrees"] else ": more often than foretold")
         lines.append(line)
     if not found["certificate_holds"]:
         lines.append(

@@ -5,8 +5,9 @@ is the input: splitting.py, over the coordinates of diagrams/episodes/space.py, 
 force, by the sampler's own seeds, is the check.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from diagrams.episodes.runner import Job
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, EpisodeSampler, episode_seeds
 from diagrams.episodes.space import EpisodeSpace
 from diagrams.episodes.store import RowStore
+from diagrams.episodes.switching import SWITCHING_FAILURES
 from diagrams.hybrid.common import NetworkArguments
 from diagrams.hybrid.defeat_cases import Case, Cases
 from diagrams.hybrid.defeat_report import clusters, plain
@@ -165,11 +167,12 @@ def report(
     """
     repetitions, smallest = runs[1:], [run.smallest for run in runs[1:]]
     switching = of_repetitions([run.estimate for run in repetitions], smallest)
-    failed = [
-        sum(weight for number, weight in run.weights if (case := cases[number]) is not None and _task_failed(case))
-        for run, cases in zip(repetitions, seen[1:], strict=True)
-    ]
-    task = of_repetitions(failed, smallest)
+    task = of_repetitions(_shares(repetitions, seen[1:], _task_failed), smallest)
+    by_failure = dict[str, dict[str, Any]]()
+    for failure in SWITCHING_FAILURES:  # a false switch comes before the disturbance, which has no part in it
+        shares = _shares(repetitions, seen[1:], partial(_failed_as, failure))
+        if any(shares):
+            by_failure[failure] = of_repetitions(shares, smallest).plain()
     found = switching.plain() | {
         "episodes": len(distinct),
         "evaluations": sum(run.evaluations for run in runs),
@@ -181,7 +184,7 @@ def report(
              "stages": [asdict(stage) for stage in run.stages]} for run in repetitions
         ],
         "levels": [stage.level for stage in runs[0].stages],
-        "task": task.plain(), "brute": None, "overlap": None,
+        "by_failure": by_failure, "task": task.plain(), "brute": None, "overlap": None,
     }  # fmt: skip
     if brute:
         counted = of_count(sum(case.level >= DEFEATED for case in brute), len(brute))
@@ -193,6 +196,20 @@ def report(
         found["overlap"] = switching.overlaps(counted)
         found["task"]["overlap"] = task.overlaps(tasks)
     return found
+
+
+def _shares(
+    runs: Sequence[Splitting], seen: Sequence[Sequence[Case | None]], counts: Callable[[Case], bool]
+) -> list[float]:
+    """Of each run: how probable it is that a case `counts`."""
+    return [
+        sum(weight for number, weight in run.weights if (case := cases[number]) is not None and counts(case))
+        for run, cases in zip(runs, seen, strict=True)
+    ]
+
+
+def _failed_as(failure: str, case: Case) -> bool:
+    return case.failure == failure
 
 
 def _task_failed(case: Case) -> bool:
@@ -211,6 +228,8 @@ def words(kind: str, found: dict[str, Any]) -> str:
         f"disturbance {kind}: defeated with probability {of(found)} by {found['episodes']} episodes "
         f"({ticks['saved'] / max(ticks['all'], 1):.0%} of their ticks saved by clones); task failed {of(found['task'])}"
     )
+    for failure, entry in found["by_failure"].items():
+        text += f"; {failure}: {of(entry)}"
     if found["brute"] is not None:
         text += (
             f"; brute force, {found['brute']['episodes']} episodes: {of(found['brute'])}, task "

@@ -47,6 +47,8 @@ def test_report_by_hand():
     assert found["task"]["estimate"] == pytest.approx(0.15)
     assert (found["episodes"], found["evaluations"], found["defeats_found"]) == (3, 12, 1)
     assert found["without_episode"] == 3
+    assert list(found["by_failure"]) == ["not resumed"]  # of the weights 0.02 and 0.02
+    assert found["by_failure"]["not resumed"]["estimate"] == pytest.approx(0.02)
     assert found["ticks"] == {"all": 1200, "saved": 300}
     assert found["brute"]["estimate"] == 0.01
     assert (found["overlap"], found["brute"]["task"]["estimate"]) == (True, 0.01)
