@@ -8,7 +8,7 @@ force, by the sampler's own seeds, is the check.
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -20,7 +20,7 @@ from diagrams.episodes.runner import Job
 from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, EpisodeSampler, episode_seeds
 from diagrams.episodes.space import EpisodeSpace
 from diagrams.episodes.store import RowStore
-from diagrams.episodes.switching import SWITCHING_FAILURES
+from diagrams.episodes.switching import Until
 from diagrams.hybrid.common import NetworkArguments
 from diagrams.hybrid.defeat_cases import Case, Cases
 from diagrams.hybrid.defeat_report import clusters, plain
@@ -48,6 +48,7 @@ class Defeat(NetworkArguments):
     moves: int = 1  # of each, a stage
     repetitions: int = 4  # independent, beside the pilot, for the interval
     brute: int = 0  # episodes of brute force, a kind; 0: none
+    until: Literal["task", "resumption"] = "task"  # end of a run; resumption: false alarms are no defeats
     branch: bool = True  # begin episodes of a known scene with a clone of its undisturbed ticks
     workers: int = 2  # processes; 0: this one
 
@@ -71,15 +72,16 @@ class Defeat(NetworkArguments):
         from diagrams.drawing.defeat import save_defeat
 
         world, (encoder, policy, gamma) = self.loaded_world(), self.calibrated()
-        chosen = {"weights": policy.hash, "encoder": encoder.hash, "branch": self.branch}
+        chosen = {"weights": policy.hash, "encoder": encoder.hash, "branch": self.branch, "until": self.until}
         identity = fingerprint(world, "diagrams/hybrid", **chosen)
-        job = Job(world, self.encoder_path, Controller(self.policy_path))
+        until: Until = "task" if self.until == "task" else "as_paper"
+        job = Job(world, self.encoder_path, Controller(self.policy_path), until=until)
         found: dict[str, dict[str, Any]] = {}
         with RowStore(self.out / "defeat_cases.jsonl", identity) as store, Pool(self.workers) as pool:
             cases = Cases(job, gamma, self.branch, store, pool)
             for kind in self.kinds:
                 found[kind] = self._of_kind(kind, world, cases, policy.name)
-        sizes = {name: getattr(self, name) for name in ("population", "kept", "moves", "repetitions")}
+        sizes = {name: getattr(self, name) for name in ("population", "kept", "moves", "repetitions", "until")}
         made_with = {"fingerprint": identity, "policy": policy.hash, "encoder_hash": encoder.hash}
         self.write(made_with | sizes | {"kinds": {kind: entry["report"] for kind, entry in found.items()}})
         save_defeat(found, self.out / "defeat.png")
@@ -162,17 +164,18 @@ def report(
 ) -> dict[str, Any]:
     """Plain types: the estimates of defeats and of failed tasks, and what they cost.
 
-    `runs`: the pilot first, which only the costs count; `seen`: of each run the case of each evaluation; `distinct`:
-    each of them once; `brute`: of brute force.
+    Of failed tasks None where the runs end before. `runs`: the pilot first, which only the costs count; `seen`: of each
+    run the case of each evaluation; `distinct`: each of them once; `brute`: of brute force.
     """
     repetitions, smallest = runs[1:], [run.smallest for run in runs[1:]]
     switching = of_repetitions([run.estimate for run in repetitions], smallest)
-    task = of_repetitions(_shares(repetitions, seen[1:], _task_failed), smallest)
+    judged = all(case.task_done is not None for case in distinct)
+    task = of_repetitions(_shares(repetitions, seen[1:], _task_failed), smallest) if judged else None
     by_failure = dict[str, dict[str, Any]]()
-    for failure in SWITCHING_FAILURES:  # a false switch comes before the disturbance, which has no part in it
+    # A false switch, for one, comes before the disturbance, which has no part in it.
+    for failure in sorted({str(case.failure) for case in distinct if case.level >= DEFEATED}):
         shares = _shares(repetitions, seen[1:], partial(_failed_as, failure))
-        if any(shares):
-            by_failure[failure] = of_repetitions(shares, smallest).plain()
+        by_failure[failure] = of_repetitions(shares, smallest).plain()
     found = switching.plain() | {
         "episodes": len(distinct),
         "evaluations": sum(run.evaluations for run in runs),
@@ -184,17 +187,19 @@ def report(
              "stages": [asdict(stage) for stage in run.stages]} for run in repetitions
         ],
         "levels": [stage.level for stage in runs[0].stages],
-        "by_failure": by_failure, "task": task.plain(), "brute": None, "overlap": None,
+        "by_failure": by_failure, "task": None if task is None else task.plain(),
+        "brute": None, "overlap": None,
     }  # fmt: skip
     if brute:
         counted = of_count(sum(case.level >= DEFEATED for case in brute), len(brute))
-        tasks = of_count(sum(map(_task_failed, brute)), len(brute))
         found["brute"] = counted.plain() | {
-            "episodes": len(brute), "void": sum(case.void for case in brute), "task": tasks.plain(),
+            "episodes": len(brute), "void": sum(case.void for case in brute), "task": None,
             "share_of_episodes": len(distinct) / len(brute),  # that splitting took
         }  # fmt: skip
         found["overlap"] = switching.overlaps(counted)
-        found["task"]["overlap"] = task.overlaps(tasks)
+        if task is not None:
+            tasks = of_count(sum(map(_task_failed, brute)), len(brute))
+            found["brute"]["task"], found["task"]["overlap"] = tasks.plain(), task.overlaps(tasks)
     return found
 
 
@@ -209,7 +214,7 @@ def _shares(
 
 
 def _failed_as(failure: str, case: Case) -> bool:
-    return case.failure == failure
+    return case.failure == failure and case.level >= DEFEATED
 
 
 def _task_failed(case: Case) -> bool:
@@ -223,16 +228,19 @@ def words(kind: str, found: dict[str, Any]) -> str:
         low, high = entry["interval"]
         return f"{entry['estimate']:.2e} [{low:.2e}, {high:.2e}]"
 
+    def task(entry: dict[str, Any]) -> str:
+        return "" if entry["task"] is None else f", task failed {of(entry['task'])}"
+
     ticks = found["ticks"]
     text = (
         f"disturbance {kind}: defeated with probability {of(found)} by {found['episodes']} episodes "
-        f"({ticks['saved'] / max(ticks['all'], 1):.0%} of their ticks saved by clones); task failed {of(found['task'])}"
+        f"({ticks['saved'] / max(ticks['all'], 1):.0%} of their ticks saved by clones){task(found)}"
     )
     for failure, entry in found["by_failure"].items():
         text += f"; {failure}: {of(entry)}"
     if found["brute"] is not None:
         text += (
-            f"; brute force, {found['brute']['episodes']} episodes: {of(found['brute'])}, task "
-            f"{of(found['brute']['task'])}; intervals {'overlap' if found['overlap'] else 'are apart'}"
+            f"; brute force, {found['brute']['episodes']} episodes: "
+            f"{of(found['brute'])}{task(found['brute'])}; intervals {'overlap' if found['overlap'] else 'are apart'}"
         )
     return text

@@ -1,7 +1,7 @@
 """Cases of the search for the probability of defeat: each episode is run once, and its row is kept."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ from diagrams.episodes.pool import Pool
 from diagrams.episodes.record import Record, record_hash
 from diagrams.episodes.runner import Job, run_branched, run_episode
 from diagrams.episodes.store import RowStore, of_plain
+from diagrams.episodes.switching import Until
 from diagrams.hybrid.severity import severity
 from diagrams.world.names import ARM_JOINTS
 
@@ -23,7 +24,7 @@ class Case:
     episode: Episode
     level: float  # see severity.py
     failure: str | None  # of the switching
-    task_done: bool
+    task_done: bool | None  # None: not asked for
     void: bool
     moved_deg: float  # norm of the move from the command at the onset, as it came; 0 under B
     ticks: int  # of the whole episode
@@ -31,14 +32,17 @@ class Case:
     record_hash: str
 
     @classmethod
-    def of(cls, episode: Episode, outcome: Outcome, record: Record, saved: int, gamma: float) -> Self:
-        """`gamma`: the threshold of the record's errors."""
+    def of(
+        cls, episode: Episode, outcome: Outcome, record: Record, saved: int, gamma: float, until: Until = "task"
+    ) -> Self:
+        """`gamma`: the threshold of the record's errors; `until`: what the run ended with."""
+        done = bool(outcome.success) if until == "task" else None
         moved, target, active = 0.0, episode.disturbance.target, np.flatnonzero(record.active)
         if target is not None and len(active) and active[0] > 0:
             before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
             moved = float(np.rad2deg(np.linalg.norm(np.array(target) - before)))
         return cls(
-            episode, severity(outcome, record, gamma), outcome.switch_failure, bool(outcome.success), outcome.void,
+            episode, severity(outcome, record, gamma, until), outcome.switch_failure, done, outcome.void,
             moved, len(record.time), saved, record_hash(record),
         )  # fmt: skip
 
@@ -57,7 +61,7 @@ def run_case(job: tuple[Job, float, bool]) -> Case:
         outcome, record, saved = run_branched(given)
     else:
         (outcome, record), saved = run_episode(given), 0
-    return Case.of(given.episode, outcome, record, saved, gamma)
+    return Case.of(given.episode, outcome, record, saved, gamma, given.until)
 
 
 class Cases:
@@ -83,4 +87,4 @@ class Cases:
 
     def _of(self, episode: Episode) -> tuple[Job, float, bool]:
         job = self._job
-        return Job(job.world, job.encoder, job.controller, episode=episode), self._gamma, self._branch
+        return replace(job, episode=episode), self._gamma, self._branch

@@ -1,14 +1,15 @@
 """Severity: how near a disturbed run came to a defeat, the level that splitting climbs.
 
 Defeated means that the switching failed by the definition of diagrams/episodes/switching.py; a run whose disturbance
-never came is not. The level decides no figure, only how well the climb is guided.
+never came is not. Of runs that end with the resumption only what lies between onset and resumption counts: false
+alarms before and after come without a disturbance too. The level decides no figure, only how well the climb is guided.
 """
 
 import numpy as np
 
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.record import Record
-from diagrams.episodes.switching import GUARD, RESUME_SECONDS
+from diagrams.episodes.switching import GUARD, RESUME_SECONDS, Until
 
 DEFEATED = 1.0
 JUST_WITHSTOOD = 0.999
@@ -18,15 +19,19 @@ NORMAL_POWER = 3
 DECADES = 2.0  # an error so many powers of ten from the threshold has the whole margin
 
 
-def severity(outcome: Outcome, record: Record, gamma: float) -> float:
+def severity(outcome: Outcome, record: Record, gamma: float, until: Until = "task") -> float:
     """DEFEATED, or less the farther the run was from it; 0 where the disturbance did not come.
 
     The larger of 1 - `margin` and of (error / gamma)^NORMAL_POWER, with the largest error of the ticks in which the
     network has the arm rightly: before the onset and after the resumption (false switch, switched again).
 
-    `gamma`: the threshold of the record's errors.
+    `gamma`: the threshold of the record's errors; `until`: what the run ended with, "task" or "as_paper", which leaves
+    out the errors and a false switch before the onset (0: the arm was on its way home when it was disturbed).
     """
-    if outcome.switch_failure is not None:
+    failed, alarms_count = outcome.switch_failure, until == "task"
+    if failed == "false switch" and not alarms_count:
+        return 0.0
+    if failed is not None and (failed != "switched again" or alarms_count):
         return DEFEATED
     active = np.flatnonzero(record.active)
     if outcome.void or not len(active):
@@ -37,7 +42,7 @@ def severity(outcome: Outcome, record: Record, gamma: float) -> float:
     assert outcome.resume_s is not None
     resumed = end + round((outcome.return_s + outcome.resume_s) / period)
     normal: np.ndarray = np.append(worst[: active[0]], worst[resumed:])
-    largest = float(np.max(normal, initial=0.0)) / gamma
+    largest = float(np.max(normal, initial=0.0)) / gamma if alarms_count else 0.0
     near = max(1.0 - margin(outcome, record, len(active) * period, period, gamma), largest**NORMAL_POWER)
     return min(near, JUST_WITHSTOOD)
 

@@ -62,6 +62,15 @@ def test_report_by_hand():
     json.dumps(found)
 
 
+def test_report_of_runs_that_end_with_the_resumption():
+    """Their tasks are not judged, and false alarms that they had count nowhere."""
+    cases = [replace(c, task_done=None) for c in (LOST, replace(WITHSTOOD, failure="switched again"))]
+    found = defeat.report([run(0.02, [(0, 0.02), (1, 0.98)])] * 3, [cases] * 3, cases, cases * 50)
+    assert (found["task"], found["brute"]["task"], list(found["by_failure"])) == (None, None, ["not resumed"])
+    assert found["brute"]["estimate"] == 0.5
+    assert "task" not in defeat.words("A", found)
+
+
 def test_what_defeats_have_in_common_by_hand():
     far = dict(failure="not resumed", begins=0.155)
     defeats = [case(1, **far), case(2, **far), case(3, **far, hold=25), case(4, failure="switched again", subtask=1)]
@@ -159,7 +168,8 @@ def test_bad_input_is_named(tmp_path, asked, named, monkeypatch):
         analysis.main(analysis.parse(["defeat", "--out", str(tmp_path), "--workers", "0", *asked]))
 
 
-def test_a_blind_controller_is_defeated_by_everything(tmp_path, monkeypatch):
+@pytest.mark.parametrize("until", ["task", "resumption"])
+def test_a_blind_controller_is_defeated_by_everything(tmp_path, monkeypatch, until):
     """The shipped network with a threshold that nothing reaches, in runs too short for the task."""
     monkeypatch.setattr(Rollout, "run", partialmethod(Rollout.run, time_limit=1.0))
     monkeypatch.setattr(defeat, "EpisodeSpace", lambda *given: _Early(*given))
@@ -168,12 +178,13 @@ def test_a_blind_controller_is_defeated_by_everything(tmp_path, monkeypatch):
     (weights / "encoder.onnx").symlink_to(WEIGHTS.resolve() / "encoder.onnx")
     save_policy(weights / "lstm.onnx", replace(load_policy(WEIGHTS / "lstm.onnx"), gamma=1e9))
     asked = ["--weights", str(weights), "--out", str(out), "--kinds", "B", "--population", "4", "--kept", "0.5"]
-    asked += ["--repetitions", "2", "--workers", "0"]
+    asked += ["--repetitions", "2", "--workers", "0", "--until", until]
     assert analysis.main(analysis.parse(["defeat", *asked])) == 0
     found = json.loads((out / "defeat.json").read_text())["kinds"]["B"]
     assert (found["estimate"], found["interval"], found["overlap"]) == (1.0, [1.0, 1.0], None)
     assert len(found["counterexamples"]) == found["episodes"] == 12
     assert (out / "defeat.png").is_file()
+    assert (found["task"] is None) == (until == "resumption")
     assert load_scenario(out / found["clusters"][0]["file"]).disturbance.kind == "B"
     rows, stale = (out / "defeat_cases.jsonl").read_bytes(), out / "defeat-B-9.yaml"
     stale.write_text("of an earlier run")

@@ -40,6 +40,21 @@ def test_severity_by_hand(change, normal, level):
     assert severity(replace(OUTCOME, **change), run(**normal), GAMMA) == pytest.approx(level)
 
 
+@pytest.mark.parametrize(
+    ("change", "normal", "level"),
+    [
+        ({}, {"before": 9.0, "after": 9.0}, 0.2),
+        ({"switch_failure": "switched again"}, {}, 0.2),
+        ({"switch_failure": "false switch"}, {}, 0.0),
+        ({"switch_failure": "not resumed"}, {}, DEFEATED),
+        ({"switch_failure": "simulation diverged"}, {}, DEFEATED),
+    ],
+)
+def test_false_alarms_are_left_out_where_a_run_ends_with_the_resumption(change, normal, level):
+    found = severity(replace(OUTCOME, **change), run(**normal), GAMMA, "as_paper")
+    assert found == pytest.approx(level)
+
+
 def test_a_run_whose_disturbance_never_came_is_no_defeat():
     record = run()
     record.active[:] = 0.0
