@@ -1,14 +1,15 @@
 """The one pool: jobs over worker processes of this machine. A cluster has the same face (diagrams/sweeps/cluster.py).
 
 Each worker is a process of its own that runs one job at a time. So a worker that dies takes one job with it, which is
-run again by a fresh worker; a job under which workers die again and again is given up.
+run again by a fresh worker; a job under which workers die again and again is given up. A worker that has run many jobs
+makes way for a fresh one: each Context that has rendered leaves some kilobytes in Drake's renderer.
 """
 
 import multiprocessing
 import os
 import signal
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -21,6 +22,7 @@ from models.files.container import naming
 
 MOST_WORKERS = 1000
 ATTEMPTS = 3  # of a job under which workers die
+JOBS_A_WORKER = 500  # 500 episodes leave 9 MB (tests/campaigns/soak.py)
 LISTENS_EVERY = 0.2  # s: for a request to end
 J = TypeVar("J")
 R = TypeVar("R")
@@ -40,6 +42,7 @@ class Pool:
             raise InputError(f"the number of workers {workers} is out of range: choose from 0 to {MOST_WORKERS}")
         self._workers, self._idle = workers, SimpleQueue[ProcessPoolExecutor]()
         self._unmade, self._making = workers, threading.Lock()  # a worker is made when there is a job for it
+        self._ran = Counter[ProcessPoolExecutor]()  # jobs
 
     def __enter__(self) -> Self:
         return self
@@ -90,7 +93,7 @@ class Pool:
                 for future in finished:
                     worker, job, attempt = running.pop(future)
                     died = isinstance(future.exception(), BrokenProcessPool)
-                    self._idle.put(_worker() if died else worker)
+                    self._idle.put(_worker() if died else self._after_job(worker))
                     if not died:
                         yield job, future.result()
                     elif attempt < ATTEMPTS:
@@ -124,6 +127,15 @@ class Pool:
             return self._idle.get(block, LISTENS_EVERY)
         except Empty:
             return None
+
+    def _after_job(self, worker: ProcessPoolExecutor) -> ProcessPoolExecutor:
+        """`worker`, which has run one more, or a fresh one in its place."""
+        self._ran[worker] += 1
+        if self._ran[worker] < JOBS_A_WORKER:
+            return worker
+        del self._ran[worker]
+        worker.shutdown()
+        return _worker()
 
 
 def _worker() -> ProcessPoolExecutor:

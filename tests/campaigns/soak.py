@@ -216,26 +216,35 @@ def goes_on(rollout, chance: Chance, ticks: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def many_episodes(arguments: SoakArguments) -> dict[str, Any]:
-    """Episodes of SHORT s one after the other, as a worker of a sweep runs them: a row of plain types."""
+def short_episode(task: Any) -> tuple[str | None, float]:
+    """In a worker: the error of the sweep's `task`, ended after SHORT s; memory of the worker then, MB."""
     from diagrams.episodes.rollout import Rollout
-    from diagrams.sweeps.plan import SweepArguments, plan
     from diagrams.sweeps.task import run_task
-    from diagrams.world.configuration import World
     from diagrams.world.names import WEIGHTS
 
-    Rollout.run = partialmethod(Rollout.run, time_limit=SHORT)  # type: ignore[assignment]
+    if not isinstance(vars(Rollout)["run"], partialmethod):
+        Rollout.run = partialmethod(Rollout.run, time_limit=SHORT)  # type: ignore[assignment]
+    return run_task(WEIGHTS, task)["error"], memory()
+
+
+def many_episodes(arguments: SoakArguments) -> dict[str, Any]:
+    """Episodes of SHORT s one after the other, in the one worker of a sweep's pool: a row of plain types."""
+    from diagrams.episodes.pool import Pool
+    from diagrams.sweeps.plan import SweepArguments, plan
+    from diagrams.world.configuration import World
+
     kinds = ["none", "A", "B"]
     asked = SweepArguments(episodes=-(-arguments.count // len(kinds)), seed=arguments.seed, purpose="validation",
                            disturbance=kinds, workers=1)  # fmt: skip
     tasks = plan(asked, World())[0][: arguments.count]
     measured, errors = [], []
-    for number, task in enumerate(tqdm(tasks, unit="episode", disable=None, mininterval=1.0), 1):
-        row = run_task(WEIGHTS, task)
-        if row["error"]:
-            errors.append(f"{task.key}: {row['error']}")
-        if number * SAMPLES // len(tasks) > (number - 1) * SAMPLES // len(tasks):
-            measured.append(memory())
+    with Pool(1) as pool, tqdm(total=len(tasks), unit="episode", disable=None, mininterval=1.0) as bar:
+        for number, (task, (error, megabytes)) in enumerate(pool.run(short_episode, tasks), 1):
+            bar.update()
+            if error:
+                errors.append(f"{task.key}: {error}")
+            if number * SAMPLES // len(tasks) > (number - 1) * SAMPLES // len(tasks):
+                measured.append(megabytes)
     return {"episodes": len(tasks), "megabytes": measured, "errors": [len(errors), *errors[:SHOWN]]}
 
 

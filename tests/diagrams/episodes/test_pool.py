@@ -71,6 +71,14 @@ def test_jobs_are_handed_out_one_by_one(pool):
     assert sorted(pool.run(pool_jobs.double, [5])) == [(5, 10)]
 
 
+def test_a_worker_makes_way_after_so_many_jobs(monkeypatch):
+    monkeypatch.setattr("diagrams.episodes.pool.JOBS_A_WORKER", 3)
+    with Pool(1) as pool:
+        found = [result for _, result in pool.run(pool_jobs.process_and_count, "aaaaaaa")]
+    assert [count for _, count in found] == [0, 1, 2, 0, 1, 2, 0]
+    assert len({pid for pid, _ in found}) == 3
+
+
 def test_a_dead_worker_is_replaced_and_its_job_run_again(pool, tmp_path):
     jobs = [(str(tmp_path), name) for name in "abc"]
     assert sorted(name for _, name in pool.run(pool_jobs.kill_own_worker, jobs)) == ["a", "b", "c"]
