@@ -5,7 +5,8 @@
 Each episode is run with the detector off, and all detectors are scored on that one run; each that alarms there is run
 again in closed loop, with each recovery. Started again with the same --out it runs what is missing; more detectors,
 faults, severities, training seeds and recoveries may be asked for, fewer too. diagrams/BENCH.md has the definitions.
-`bench.py export` writes its runs as data sets; `bench.py offline` scores recorded runs of anybody's arm.
+`bench.py export` writes its runs as data sets; `bench.py offline` scores recorded runs of anybody's arm;
+`bench.py coverage` measures what the calibration promises.
 Exit code 0: done; 1: some episode raised an error; 2: bad input.
 """
 
@@ -34,6 +35,7 @@ from diagrams.monitors.bench_plan import (
     undisturbed,
 )
 from diagrams.monitors.bench_task import TAPES, BenchTask, error_row, require_whole, run_bench_task
+from diagrams.monitors.coverage import Coverage
 from diagrams.monitors.export import Export
 from diagrams.monitors.fitting import BETA
 from diagrams.monitors.offline import Offline
@@ -48,14 +50,19 @@ from models.files.container import write_bytes, write_text
 from systems.recoveries.registry import RECOVERIES
 
 ROWS, SUMMARY = "rows.jsonl", "summary.json"  # in the folder --out
-# What decides a row beside what decides an episode's.
-ROOMS = ("diagrams/monitors", "models/data/runs.py", "models/networks/perceptron.py")
+# What decides a row beside what decides an episode's; none of the files that make tables of rows.
+ROOMS = (
+    *(f"diagrams/monitors/{name}.py" for name in (
+        "bench_fit", "bench_plan", "bench_task", "fitting", "scoring", "tapes", "traces",
+    )),
+    "models/data/runs.py", "models/networks/perceptron.py",
+)  # fmt: skip
 
 
-OTHERS = {"export": Export, "offline": Offline}  # what the first word may name instead of a bench
+OTHERS = {"export": Export, "offline": Offline, "coverage": Coverage}  # what the first word may name instead of a bench
 
 
-def parse(arguments: list[str] | None = None) -> BenchArguments | Export | Offline:
+def parse(arguments: list[str] | None = None) -> BenchArguments | Export | Offline | Coverage:
     """The command line."""
     first, *others = (sys.argv[1:] if arguments is None else arguments) or [""]
     if first in OTHERS:
@@ -108,7 +115,7 @@ class Crew:
         return cluster, cluster.with_files(run_bench_task)
 
 
-def main(arguments: BenchArguments | Export | Offline) -> int:
+def main(arguments: BenchArguments | Export | Offline | Coverage) -> int:
     """Runs what is missing, writes what is found, prints the table; returns the exit code."""
     if not isinstance(arguments, BenchArguments):
         return arguments.run()

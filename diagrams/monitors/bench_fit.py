@@ -104,6 +104,12 @@ class Fitted:
         for label in tqdm(left, desc=f"{self.network.path.stem}: detectors", unit="fit", leave=False, disable=None):
             self._fit(label, loaded[:kept], loaded[kept:])
 
+    def read(self) -> None:
+        """Takes what an earlier start has fitted; raises InputError where a detector has not been."""
+        for label in self._specs:
+            if label not in UNCALIBRATED and not self._read(label):
+                raise InputError(f"{self._file(label)} has nothing for {self.network.path.name}: run the bench again")
+
     def _read(self, label: str) -> bool:
         """Whether the file of an earlier start has it; raises InputError where it was fitted to other runs."""
         path = self._file(label)

@@ -156,8 +156,13 @@ def error_row(task: BenchTask, error: BaseException) -> dict[str, Any]:
 
 def all_ratios(path: Path, task: BenchTask, run: TapedRun) -> dict[str, np.ndarray]:
     """Of each detector of the task, on the run's tape, by its label: see `ratios`."""
-    policy: Policy = kept_in_thread(("bench_policy", path, task.weights_hash), lambda: Policy(path))
+    policy = kept_policy(path, task)
     return {scored.label: ratios(scored, policy, path.parent, run.tape) for scored in task.detectors}
+
+
+def kept_policy(path: Path, task: BenchTask) -> Policy:
+    """That of the task, in the file `path`: read once."""
+    return kept_in_thread(("bench_policy", path, task.weights_hash), lambda: Policy(path))
 
 
 def _scores(task: BenchTask, run: TapedRun, found: dict[str, np.ndarray]) -> dict[str, dict[str, Any]]:

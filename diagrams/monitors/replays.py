@@ -3,9 +3,9 @@
 import dataclasses
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from diagrams.browser.explorer import write_replays
 from diagrams.episodes.calibration import UNCALIBRATED, Calibration, policy_name
@@ -20,6 +20,8 @@ from diagrams.world.scenario import load_world
 from models.checks import require_plain
 from models.errors import InputError
 from models.files.container import write_bytes, write_text
+
+R = TypeVar("R")
 
 
 def make_replay(folder: Path, key: str) -> int:
@@ -71,13 +73,21 @@ def tasks_of(folder: Path, option: str) -> list[BenchTask]:
 
     `option`: what the user gave, for messages.
     """
+    return of_summary(folder, option, lambda arguments, summary: list(_tasks(folder, arguments, summary)))
+
+
+def of_summary(folder: Path, option: str, of: Callable[[BenchArguments, dict[str, Any]], R]) -> R:
+    """`of` what the bench in `folder` was asked for, and its summary; raises InputError where there is no bench.
+
+    `option`: what the user gave, for messages.
+    """
     path = folder / "summary.json"
     require_plain(path, "choose another --out")
     try:
         summary = json.loads(path.read_text())
         given = {name: value for name, value in summary["arguments"].items() if value is not None}
         given |= {name: Path(given[name]) for name in ("weights", "world") if name in given}
-        return list(_tasks(folder, BenchArguments(**given), summary))
+        return of(BenchArguments(**given), summary)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{option}: {path} is no summary of a bench ({error}): run the bench in --out, then ask again"
