@@ -157,7 +157,8 @@ def _wait(pid: int) -> tuple[int, resource.struct_rusage, bool]:
             break
         if time.monotonic() > end:
             hung = True
-            os.killpg(pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it has just ended
+                os.killpg(pid, signal.SIGKILL)
         time.sleep(pause)
         pause = min(pause * 1.3, 0.02)
     with suppress(ProcessLookupError, PermissionError):
