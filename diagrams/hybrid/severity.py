@@ -57,12 +57,14 @@ def margin(outcome: Outcome, record: Record, seconds: float, period: float, gamm
     if len(active):
         worst = record.errors.max(axis=1)
         margins.append(_decades(worst[active[0] : active[-1] + 1].max(), gamma))
-        # How near the recall came to fitting again before the arm was at home.
+        # How near the recall came to fitting again before the arm was at home; where its error rises, it is near gamma
+        # without any danger.
         if outcome.returned and outcome.return_s is not None:
             home = active[-1] + 1 + round(outcome.return_s / period)
             away = np.flatnonzero(record.alpha[: home + 1] >= GUARD)
             first = int(away[away >= active[0]][0])
-            margins.append(_decades(worst[first : home + 1].min(), gamma))
+            led = worst[first : home + 1]
+            margins.append(_decades(led[led.argmax() :].min(), gamma))
     if outcome.detection_delay_s is not None:
         margins.append(1.0 - outcome.detection_delay_s / seconds)
     if outcome.resume_s is not None:

@@ -12,10 +12,12 @@ from tests.diagrams.episode_fakes import OUTCOME
 GAMMA = 10.0
 
 
-def run(before=1.0, after=1.0):
+def run(before=1.0, after=1.0, change=()):
     """Disturbed for 10 ticks from the fifth on, home after 2 s and resumed after another; far errors meanwhile."""
     errors = np.full((60, 3), 1.0)
     errors[:5], errors[5:45], errors[45:] = before, 1e4, after
+    for tick, error in change:
+        errors[tick] = error
     active = np.zeros(60)
     active[5:15] = 1.0
     return SimpleNamespace(
@@ -32,6 +34,8 @@ def run(before=1.0, after=1.0):
         ({}, {"before": 9.0}, 0.729),
         ({}, {"after": 9.0}, 0.729),
         ({"detection_delay_s": 1.0}, {}, JUST_WITHSTOOD),
+        ({}, {"change": [(5, 10.1), (6, 11.0)]}, 0.2),  # its error rises
+        ({}, {"change": [(20, 10.0 * 10.0**0.5)]}, 0.75),  # on the way home it falls to half a decade above gamma
         ({"switch_failure": "not resumed"}, {}, DEFEATED),
         ({"void": True}, {}, 0.0),
     ],
