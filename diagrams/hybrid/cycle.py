@@ -23,6 +23,7 @@ from models.checks import require_plain
 from models.errors import InputError
 
 EPISODES, ROWS = "episodes.parquet", "rows.jsonl"  # of a sweep
+KINDS = "none", "A", "B"  # of disturbances
 FORETOLD = "way_home", "resumption"  # arrows that the sweep is compared with
 LARGEST_REPORT = 100_000_000  # bytes
 # May differ, and are told then: a report takes hours, and few changes of the code change what it measures.
@@ -158,12 +159,12 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
     ]  # fmt: skip
     if errors := sum(row["error"] is not None for row in ours):
         raise InputError(f"{errors} episodes of the sweep raised an error: run it with --retry-errors")
+    ours = [row for row in ours if not row["void"]]
     undisturbed = [row for row in ours if row["disturbance"] == "none"]
-    disturbed = [row for row in ours if row["disturbance"] in ("A", "B") and not row["void"]]
-    disturbed = [row for row in disturbed if not row["false_switches"]]
-    if not undisturbed or not disturbed:
+    disturbed = [row for row in ours if row["disturbance"] in ("A", "B") and not row["false_switches"]]
+    if lacking := [kind for kind in KINDS if all(row["disturbance"] != kind for row in undisturbed + disturbed)]:
         raise InputError(
-            "the sweep has no undisturbed, or no disturbed, episodes of the network that `resume` looked at: run "
+            f"the sweep has no episodes under {', '.join(lacking)} of the network that `resume` looked at: run "
             "diagrams/sweep.py with it under --disturbance none A B"
         )
     arrows = _arrows(returned, resumed, undisturbed, disturbed)

@@ -138,7 +138,7 @@ def test_a_way_of_the_sweep_that_touches_something_has_failed():
 
 
 def test_of_no_runs_nothing_agrees():
-    rows = [row("none"), row("B", delay=None, returned=False, resumed=False, back=(None, None))]
+    rows = [row("none"), *[row(kind, delay=None, returned=False, resumed=False, back=(None, None)) for kind in "AB"]]
     found = report(RETURNED, RESUMED, rows)
     assert (found["way_home"]["agrees"], found["resumption"]["agrees"]) == (None, None)
     arrows = {arrow["name"]: arrow for arrow in found["arrows"]}
@@ -178,10 +178,14 @@ def test_dwell_time_by_hand():
     assert found["measured_s"] == {"stays": 10, "min": 4.5, "median": 4.5, "max": 5.0}
 
 
-@pytest.mark.parametrize("rows", [[], ROWS[:20], ROWS[20:]])
-def test_a_sweep_without_the_network_or_a_disturbance_is_refused(rows):
-    with pytest.raises(InputError, match=r"no undisturbed, or no disturbed.*--disturbance none A B"):
+@pytest.mark.parametrize("lacking", ["none", "A", "B"])
+def test_a_sweep_without_the_network_or_a_disturbance_is_refused(lacking):
+    """None of a void run either: its disturbance never came."""
+    rows = [one | {"void": one["disturbance"] == lacking} for one in ROWS]
+    with pytest.raises(InputError, match=rf"no episodes under {lacking} of the network.*--disturbance none A B"):
         report(RETURNED, RESUMED, rows)
+    with pytest.raises(InputError, match="under none, A, B of the network"):
+        report(RETURNED, RESUMED, [])
 
 
 def test_an_episode_that_raised_an_error_is_no_good_one():
@@ -254,5 +258,5 @@ def test_program(tmp_path, capsys, world):
     calm = RESUMED | {"fingerprint": own, "rules": {"reset": {"pick": entry(15, 0, 1, 0)}}}
     calm["finished_by_scene"] = {"samples": 1, "failures": 0}
     (tmp_path / "resume.json").write_text(json.dumps(calm))
-    pd.DataFrame([row("none"), row("A")]).to_parquet(tmp_path / "episodes.parquet")
+    pd.DataFrame([row("none"), row("A"), row("B")]).to_parquet(tmp_path / "episodes.parquet")
     assert analysis.main(analysis.parse(asked)) == 0
