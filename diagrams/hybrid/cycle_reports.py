@@ -31,6 +31,7 @@ COUNT = Kind("a whole number from 0 on", lambda value: _is_number(value) and val
 SOME = Kind("a whole number from 1 on", lambda value: COUNT.fits(value) and value > 0)
 FLAG_OR_NONE = Kind("true, false or nothing", lambda value: value in (True, False, None))
 WORD = Kind("a word", lambda value: isinstance(value, str))
+WORD_OR_NONE = Kind("a word or nothing", lambda value: value is None or isinstance(value, str))
 
 # A key "*": each there is, at least one.
 _SETS = {
@@ -51,7 +52,9 @@ RESUMED = {
     "policy": WORD, "encoder_hash": WORD, "rule": WORD, "by_scene": {"*": FINISHED}, "finished_by_scene": FINISHED,
     "rules": {"*": {"*": {"samples": SOME, "not_resumed": COUNT}}},
 }  # fmt: skip
-ROW = {"way_home_m": NUMBER_OR_NONE} | dict.fromkeys(("detection_delay_s", "return_s", "resume_s"), SECONDS)
+ROW = {"way_home_m": NUMBER_OR_NONE, "way_home_nearest": WORD_OR_NONE} | dict.fromkeys(
+    ("detection_delay_s", "return_s", "resume_s"), SECONDS
+)
 ROW |= dict.fromkeys(("success", "void", "returned", "resumed", "switched"), FLAG_OR_NONE)
 # Of every row, whatever came of it.
 COLUMNS = (

@@ -60,7 +60,7 @@ RESUMED = {
 def row(disturbance, delay=0.2, returned=True, resumed=True, back=(3.0, 1.5), **others):
     disturbed = disturbance != "none"
     return {
-        "weights_hash": "ours", "encoder_hash": "eyes", "way_home_m": 0.01,
+        "weights_hash": "ours", "encoder_hash": "eyes", "way_home_m": 0.01, "way_home_nearest": "shelf",
         "detector": "recall", "gamma": None, "success": True, "error": None,
         "disturbance": disturbance, "void": False, "false_switches": 0, "later_switches": 0, "switched": disturbed,
         "detection_delay_s": delay if disturbed else None,
@@ -109,7 +109,7 @@ def test_arrows_by_hand():
     lines = table(found).splitlines()
     assert [line.split()[-1] for line in lines if "weakest" in line] == ["known"]
     assert "1 of 11 disturbed runs" in lines[-2]
-    assert "0 of 11 disturbed runs (0 not home, 0 touch something)" in lines[-3]
+    assert "0 of 11 disturbed runs (0 not home, 0 touch something, 0 of these the can to pick" in lines[-3]
 
 
 def test_a_share_that_was_not_foretold_is_told():
@@ -132,8 +132,10 @@ def test_runs_of_the_sweep_that_do_not_come_home_are_told(lost, agrees):
 
 
 def test_a_way_of_the_sweep_that_touches_something_has_failed():
-    found = report(RETURNED, RESUMED, [*CALM, *[row("A", way_home_m=0.0)] * 9])["way_home"]
+    own = row("A", way_home_m=-0.001, way_home_nearest="can_to_pick")
+    found = report(RETURNED, RESUMED, [*CALM, *[row("A", way_home_m=0.0)] * 8, own])["way_home"]
     assert (found["measured"]["failures"], found["measured"]["touched"], found["measured"]["not_returned"]) == (9, 9, 0)
+    assert found["measured"]["touched_can_to_pick"] == 1
     assert found["agrees"] is False
 
 
