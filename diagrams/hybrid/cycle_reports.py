@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from diagrams.hybrid.return_proof import KINDS
 from models.errors import InputError
 
 LARGEST = 1e12  # of a number that is read
@@ -73,8 +74,8 @@ COLUMNS = (
 def require_reports(returned: dict[str, Any], resumed: dict[str, Any]) -> None:
     """Raises InputError unless the two hold what is read of them."""
     _require(returned, RETURNED, "return.json")
-    if "box" not in returned["sets"]:
-        _refuse("return.json has no sets.box")
+    if absent := [kind for kind in KINDS if kind not in returned["sets"]]:
+        _refuse(f"return.json has no sets.{absent[0]}")
     for kind, found in returned["sets"].items():
         if not found["contraction_rate"] <= found["contraction_first"] <= 1.0:
             _refuse(f"return.json {kind} contraction_first is not from contraction_rate to 1")

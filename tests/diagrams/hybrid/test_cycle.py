@@ -202,7 +202,8 @@ def test_a_report_of_another_version_is_refused():
 
 @pytest.mark.parametrize(
     ("returned", "resumed"),
-    [({"level_at_home": None}, {}), ({"sets": 3}, {}), ({"draws": -1}, {}), ({}, {"rules": None}),
+    [({"level_at_home": None}, {}), ({"sets": 3}, {}), ({"sets": {"box": RETURNED["sets"]["box"]}}, {}),
+     ({"draws": -1}, {}), ({}, {"rules": None}),
      ({}, {"rules": {"reset": {"pick": 5}}})],
 )  # fmt: skip
 def test_a_report_that_is_none_is_refused(returned, resumed):
