@@ -68,12 +68,12 @@ class ClearanceFilter(LeafSystem):
             Sreenath, RSS 2017). The other components pass.
         clearance: (1,) m, the smallest distance at m_k, at most WITHIN; computed only where it is pulled.
 
-    Where no dm' does, since something pushes from the other side, the one that comes nearer to nothing; where the
-    solver fails, 0. The gradient sees a step's beginning only. So the straight line from m_k to the command is proven
-    by conservative advancement: a distance d frees it for d / sum_j reach_j |dm'_j|; what cannot be proven to stay
-    `least` away, or PRESENT of the present distance where that is less, is cut off. Two bodies that overlap
-    already are pushed apart, and have no say in the proof. How near the arm itself comes, which follows the command
-    with a lag, is measured.
+    Where no dm' does, since something pushes from the other side, the nearest one by which no pair within the gap comes
+    nearer; where the solver fails, 0. The gradient sees a step's beginning only. So the straight line from m_k to the
+    command is proven by conservative advancement: a distance d frees it for d / sum_j reach_j |dm'_j|; what cannot be
+    proven to stay `least` away, or PRESENT of the present distance where that is less, is cut off. Two bodies that
+    overlap already are pushed apart, and have no say in the proof. How near the arm itself comes, which follows the
+    command with a lag, is measured.
 
     Direct feedthrough, no state. No AutoDiff: the minimum is not differentiable where a pair begins to matter, and
     signed distances between a cylinder and most shapes have none in Drake.

@@ -19,16 +19,18 @@ from diagrams.episodes.store import FIRST
 from diagrams.hybrid.common import Arguments, fingerprint_with_analyses
 from diagrams.hybrid.cycle_reports import require_counts, require_reports, require_rows
 from diagrams.hybrid.return_proof import bound, holds
+from diagrams.world.names import CANS
 from models.checks import require_plain
 from models.errors import InputError
 
 EPISODES, ROWS = "episodes.parquet", "rows.jsonl"  # of a sweep
+KINDS = "none", "A", "B"  # of disturbances
 FORETOLD = "way_home", "resumption"  # arrows that the sweep is compared with
 LARGEST_REPORT = 100_000_000  # bytes
 # May differ, and are told then: a report takes hours, and few changes of the code change what it measures.
 CODES = ("code", "analyses")
 SIGNIFICANT = 0.05  # p of a sweep that fails more often than an arrow
-BY = "by the arm or a can in the hand (what a can that left the hand knocks over is not seen)"
+BY = "by the arm or a can in the hand (the can that was in the hand, and what it knocks over, is not seen)"
 
 
 @dataclass
@@ -158,19 +160,21 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
     ]  # fmt: skip
     if errors := sum(row["error"] is not None for row in ours):
         raise InputError(f"{errors} episodes of the sweep raised an error: run it with --retry-errors")
+    ours = [row for row in ours if not row["void"]]
     undisturbed = [row for row in ours if row["disturbance"] == "none"]
-    disturbed = [row for row in ours if row["disturbance"] in ("A", "B") and not row["void"]]
-    disturbed = [row for row in disturbed if not row["false_switches"]]
-    if not undisturbed or not disturbed:
+    disturbed = [row for row in ours if row["disturbance"] in ("A", "B") and not row["false_switches"]]
+    if lacking := [kind for kind in KINDS if all(row["disturbance"] != kind for row in undisturbed + disturbed)]:
         raise InputError(
-            "the sweep has no undisturbed, or no disturbed, episodes of the network that `resume` looked at: run "
+            f"the sweep has no episodes under {', '.join(lacking)} of the network that `resume` looked at: run "
             "diagrams/sweep.py with it under --disturbance none A B"
         )
     arrows = _arrows(returned, resumed, undisturbed, disturbed)
     dwell, certificate_holds = _dwell(returned, disturbed), holds(returned)
     noticed = [row for row in disturbed if row["detection_delay_s"] is not None]
     home = [row for row in noticed if row["returned"]]
-    way_home = _against("way home", arrows, noticed, not_returned=_lost, touched=_touched)
+    way_home = _against(
+        "way home", arrows, noticed, not_returned=_lost, touched=_touched, touched_can_to_pick=_touched_own
+    )
     resumption = _against("reset and resumption", arrows, home, not_resumed=lambda row: not row["resumed"])
     return {
         "policy": resumed["policy"],
@@ -195,6 +199,11 @@ def _lost(row: dict[str, Any]) -> bool:
 
 def _touched(row: dict[str, Any]) -> bool:
     return row["way_home_m"] is not None and row["way_home_m"] <= 0.0
+
+
+def _touched_own(row: dict[str, Any]) -> bool:
+    """The can that was in the hand, maybe: that the ways of `return` do not count."""
+    return _touched(row) and row["way_home_nearest"] == CANS[0]
 
 
 def _against(
@@ -312,7 +321,10 @@ def table(found: dict[str, Any]) -> str:
         foretold, seen = found[name]["foretold_bound"], found[name]["measured"]
         line = f"not {what}: foretold at most {foretold:.2e}; {seen['failures']} of {seen['samples']} disturbed runs"
         if name == "way_home":
-            line += f" ({seen['not_returned']} not home, {seen['touched']} touch something)"
+            line += (
+                f" ({seen['not_returned']} not home, {seen['touched']} touch something, {seen['touched_can_to_pick']} "
+                f"of these the {CANS[0].replace('_', ' ')}, which the arrow does not count if it was in the hand)"
+            )
         if found[name]["p"] is not None:
             line += f", p {found[name]['p']:.2g}" + ("" if found[name]["agrees"] else ": more often than foretold")
         lines.append(line)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from diagrams.hybrid.return_proof import KINDS
 from models.errors import InputError
 
 LARGEST = 1e12  # of a number that is read
@@ -31,6 +32,7 @@ COUNT = Kind("a whole number from 0 on", lambda value: _is_number(value) and val
 SOME = Kind("a whole number from 1 on", lambda value: COUNT.fits(value) and value > 0)
 FLAG_OR_NONE = Kind("true, false or nothing", lambda value: value in (True, False, None))
 WORD = Kind("a word", lambda value: isinstance(value, str))
+WORD_OR_NONE = Kind("a word or nothing", lambda value: value is None or isinstance(value, str))
 
 # A key "*": each there is, at least one.
 _SETS = {
@@ -51,7 +53,9 @@ RESUMED = {
     "policy": WORD, "encoder_hash": WORD, "rule": WORD, "by_scene": {"*": FINISHED}, "finished_by_scene": FINISHED,
     "rules": {"*": {"*": {"samples": SOME, "not_resumed": COUNT}}},
 }  # fmt: skip
-ROW = {"way_home_m": NUMBER_OR_NONE} | dict.fromkeys(("detection_delay_s", "return_s", "resume_s"), SECONDS)
+ROW = {"way_home_m": NUMBER_OR_NONE, "way_home_nearest": WORD_OR_NONE} | dict.fromkeys(
+    ("detection_delay_s", "return_s", "resume_s"), SECONDS
+)
 ROW |= dict.fromkeys(("success", "void", "returned", "resumed", "switched"), FLAG_OR_NONE)
 # Of every row, whatever came of it.
 COLUMNS = (
@@ -70,8 +74,8 @@ COLUMNS = (
 def require_reports(returned: dict[str, Any], resumed: dict[str, Any]) -> None:
     """Raises InputError unless the two hold what is read of them."""
     _require(returned, RETURNED, "return.json")
-    if "box" not in returned["sets"]:
-        _refuse("return.json has no sets.box")
+    if absent := [kind for kind in KINDS if kind not in returned["sets"]]:
+        _refuse(f"return.json has no sets.{absent[0]}")
     for kind, found in returned["sets"].items():
         if not found["contraction_rate"] <= found["contraction_first"] <= 1.0:
             _refuse(f"return.json {kind} contraction_first is not from contraction_rate to 1")

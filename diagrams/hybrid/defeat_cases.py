@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Self
 
-import numpy as np
 from tqdm import tqdm
 
 from diagrams.episodes.episode import Episode, Outcome
@@ -13,8 +12,7 @@ from diagrams.episodes.record import Record, record_hash
 from diagrams.episodes.runner import Job, run_branched, run_episode
 from diagrams.episodes.store import RowStore, of_plain
 from diagrams.episodes.switching import Until
-from diagrams.hybrid.severity import severity
-from diagrams.world.names import ARM_JOINTS
+from diagrams.hybrid.severity import moved_deg, severity
 
 
 @dataclass(frozen=True)
@@ -37,13 +35,9 @@ class Case:
     ) -> Self:
         """`gamma`: the threshold of the record's errors; `until`: what the run ended with."""
         done = bool(outcome.success) if until == "task" else None
-        moved, target, active = 0.0, episode.disturbance.target, np.flatnonzero(record.active)
-        if target is not None and len(active) and active[0] > 0:
-            before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
-            moved = float(np.rad2deg(np.linalg.norm(np.array(target) - before)))
         return cls(
             episode, severity(outcome, record, gamma, until), outcome.switch_failure, done, outcome.void,
-            moved, len(record.time), saved, record_hash(record),
+            moved_deg(episode.disturbance.target, record), len(record.time), saved, record_hash(record),
         )  # fmt: skip
 
     @classmethod

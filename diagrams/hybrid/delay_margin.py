@@ -1,7 +1,7 @@
 """How late the LQR may learn of the posture: the delay margin of mode `return`, in closed form and on the full plant.
 
 The step of a tick is taken from the posture of d ticks before, and added to the posture measured now, as the command
-is: d[k+1] = d[k] - k d[k - delay] in each joint. The servo executes nine tenths of a step, and takes its own time.
+is: d[k+1] = d[k] - gain d[k - delay] in each joint. The servo executes nine tenths of a step, and takes its own time.
 """
 
 import numpy as np

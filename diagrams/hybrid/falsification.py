@@ -89,11 +89,7 @@ class Falsify(NetworkArguments):
         self.write(made_with | result | {"undisturbed_success": undisturbed, "replayed": replayed})
         save_search(result["all_trials"], self.out / "falsify.png")
         for name in found:
-            first, trials, smallest = (result[key][name] for key in ("trials_to_first", "trials", "smallest_magnitude"))
-            print(
-                f"{name}: first counterexample after {first} of {trials} trials, smallest magnitude "
-                f"{'none' if smallest is None else f'{smallest:.3f}'}; {result['failures'][name]}"
-            )
+            print(words(name, result))
         return 0 if all(case["same_bits"] for case in replayed.values()) else 1
 
     def _keep(self, world: World, scenes: list[Episode], weights: str, name: str, number: int, trial: Trial) -> None:
@@ -143,6 +139,17 @@ def report(found: dict[str, list[Trial]], scenes: list[Episode]) -> dict:
         "counterexamples": sorted(counterexamples, key=lambda case: (case["magnitude"], case["file"])),
         "all_trials": all_trials,
     }
+
+
+def words(name: str, found: dict) -> str:
+    """What the sampler `name` reached, by the report `found`, in words."""
+    first, trials, smallest = (found[key][name] for key in ("trials_to_first", "trials", "smallest_magnitude"))
+    if first is None:
+        return f"{name}: no counterexample in {trials} trials"
+    failures = ", ".join(f"{count} {failure}" for failure, count in found["failures"][name].items() if count)
+    return (
+        f"{name}: first counterexample after {first} of {trials} trials, smallest magnitude {smallest:.3f}; {failures}"
+    )
 
 
 def _plain(name: str, number: int, trial: Trial, scenes: list[Episode]) -> dict:

@@ -31,6 +31,7 @@ from diagrams.hybrid.resumption_report import (
     judge,
     judge_runs,
     words,
+    words_of_runs,
 )
 from diagrams.hybrid.resumption_starts import KINDS, Memory, Resumptions, Start, way_home
 from diagrams.hybrid.resumption_time import time_to_resume
@@ -70,8 +71,8 @@ class Resume(NetworkArguments):
         job, seeds = Job(world, self.encoder_path, Controller(self.policy_path)), self._seeds()
         with RowStore(path, fingerprint_with_analyses(world, **chosen)) as store, Pool(self.workers) as pool:
             rows, scenes = self._starts(job, seeds[:MOST_SCENES], store, pool)
-            runs = self._runs(job, seeds[MOST_SCENES:], store, pool)
             period = world.timing.period
+            runs = judge_runs(self._runs(job, seeds[MOST_SCENES:], store, pool), period)
             rules = {
                 rule: {
                     kind: judge([row for row in rows if (row.rule, row.kind) == (rule, kind)], period) for kind in KINDS
@@ -84,14 +85,15 @@ class Resume(NetworkArguments):
                 "rule": world.resumption, "scenes": scenes, "rules": rules,
                 "by_scene": {rule: by_scene([row for row in rows if row.rule == rule], period) for rule in rules},
                 "finished_by_scene": finished_by_scene(rows),
-                "worst_ticks": worst, "runs": judge_runs(runs, period),
+                "worst_ticks": worst, "runs": runs,
             }  # fmt: skip
             self.write(found)
             save_resumption([asdict(row) for row in rows], period, self.out / "resume.png")
             path.unlink(missing_ok=True)  # it is for a run that is broken off; while no other program can open it
         for rule, kind in product(rules, KINDS):
             print(words(rule, kind, rules[rule][kind]))
-        print(f"starting anew from the farthest posture at home takes {worst} ticks; disturbed runs: {found['runs']}")
+        print(f"starting anew from the farthest posture at home takes {worst} ticks")
+        print(words_of_runs(runs))
         return 1 if any(entry["not_resumed"] for entry in rules[world.resumption].values()) else 0
 
     def _seeds(self) -> list[int]:

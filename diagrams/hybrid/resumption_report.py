@@ -129,3 +129,12 @@ def words(rule: str, kind: str, found: dict[str, Any]) -> str:
     if done is not None:
         text += f"; {done['failures']} of {done['samples']} subtasks not done"
     return text
+
+
+def words_of_runs(found: dict[str, Any]) -> str:
+    """The report of the disturbed runs, in words."""
+    return (
+        f"{found['came_home']} of {found['samples']} disturbed runs come home, {found['not_resumed']} of these do not "
+        f"resume within {RESUME_SECONDS:g} s (95 % bound {found['bound']:.1e}), {found['foretold']} were foretold, "
+        f"{found['foretold_wrongly']} wrongly; T is off by {found['largest_error_ticks']} ticks at most"
+    )

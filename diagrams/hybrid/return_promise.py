@@ -51,7 +51,7 @@ class Promise:
         later = rate(laters) if apart else max(rate(firsts), rate(laters))
         if later >= 1.0:
             raise InputError(
-                f"the servo follows so badly that V would shrink by {later:.3f} a tick only: choose stiffer "
+                f"the servo follows so badly that V would fall to {later:.3f} of itself a tick only: choose stiffer "
                 "world.servo gains, or a larger world.regulator.input_weight"
             )
         return cls(1.0 if apart else later, later, len(values))

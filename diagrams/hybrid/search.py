@@ -5,13 +5,11 @@ from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
-import numpy as np
-
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.record import Record, record_hash
 from diagrams.episodes.store import RowStore, of_plain
 from diagrams.hybrid.perturbations import Perturbation, judge
-from diagrams.world.names import ARM_JOINTS
+from diagrams.hybrid.severity import moved_deg
 from models.interrupts import Interrupted, held
 
 SAMPLERS = {"tpe": "TPESampler", "cmaes": "CmaEsSampler", "random": "RandomSampler"}  # Optuna's classes
@@ -34,11 +32,7 @@ class Trial:
     def of(cls, perturbation: Perturbation, outcome: Outcome, record: Record, gamma: float) -> Self:
         """`gamma`: the threshold of the record's errors."""
         failure, objective = judge(perturbation, outcome, record, float(record.time[1] - record.time[0]), gamma)
-        moved, target = 0.0, perturbation.disturbance.target
-        active = np.flatnonzero(record.active)
-        if target is not None and len(active) and active[0] > 0:
-            before = record.desired_posture[active[0] - 1, :ARM_JOINTS]
-            moved = float(np.rad2deg(np.linalg.norm(np.array(target) - before)))
+        moved = moved_deg(perturbation.disturbance.target, record)
         done, switch_failure = bool(outcome.success), outcome.switch_failure
         return cls(perturbation, failure, switch_failure, done, objective, moved, record_hash(record))
 

@@ -5,11 +5,14 @@ never came is not. Of runs that end with the resumption only what lies between o
 alarms before and after come without a disturbance too. The level decides no figure, only how well the climb is guided.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from diagrams.episodes.episode import Outcome
 from diagrams.episodes.record import Record
 from diagrams.episodes.switching import GUARD, RESUME_SECONDS, Until
+from diagrams.world.names import ARM_JOINTS
 
 DEFEATED = 1.0
 JUST_WITHSTOOD = 0.999
@@ -70,6 +73,14 @@ def margin(outcome: Outcome, record: Record, seconds: float, period: float, gamm
     if outcome.resume_s is not None:
         margins.append(1.0 - outcome.resume_s / RESUME_SECONDS)
     return float(np.clip(min(margins), 0.0, 1.0))
+
+
+def moved_deg(target: Sequence[float] | None, record: Record) -> float:
+    """Norm over the joints of the move to `target` (7, rad) from the command at the onset, deg; 0 without either."""
+    active = np.flatnonzero(record.active)
+    if target is None or not len(active) or active[0] == 0:
+        return 0.0
+    return float(np.rad2deg(np.linalg.norm(np.array(target) - record.desired_posture[active[0] - 1, :ARM_JOINTS])))
 
 
 def _decades(error: float, gamma: float) -> float:

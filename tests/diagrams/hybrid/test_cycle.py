@@ -60,7 +60,7 @@ RESUMED = {
 def row(disturbance, delay=0.2, returned=True, resumed=True, back=(3.0, 1.5), **others):
     disturbed = disturbance != "none"
     return {
-        "weights_hash": "ours", "encoder_hash": "eyes", "way_home_m": 0.01,
+        "weights_hash": "ours", "encoder_hash": "eyes", "way_home_m": 0.01, "way_home_nearest": "shelf",
         "detector": "recall", "gamma": None, "success": True, "error": None,
         "disturbance": disturbance, "void": False, "false_switches": 0, "later_switches": 0, "switched": disturbed,
         "detection_delay_s": delay if disturbed else None,
@@ -109,7 +109,7 @@ def test_arrows_by_hand():
     lines = table(found).splitlines()
     assert [line.split()[-1] for line in lines if "weakest" in line] == ["known"]
     assert "1 of 11 disturbed runs" in lines[-2]
-    assert "0 of 11 disturbed runs (0 not home, 0 touch something)" in lines[-3]
+    assert "0 of 11 disturbed runs (0 not home, 0 touch something, 0 of these the can to pick" in lines[-3]
 
 
 def test_a_share_that_was_not_foretold_is_told():
@@ -132,13 +132,15 @@ def test_runs_of_the_sweep_that_do_not_come_home_are_told(lost, agrees):
 
 
 def test_a_way_of_the_sweep_that_touches_something_has_failed():
-    found = report(RETURNED, RESUMED, [*CALM, *[row("A", way_home_m=0.0)] * 9])["way_home"]
+    own = row("A", way_home_m=-0.001, way_home_nearest="can_to_pick")
+    found = report(RETURNED, RESUMED, [*CALM, *[row("A", way_home_m=0.0)] * 8, own])["way_home"]
     assert (found["measured"]["failures"], found["measured"]["touched"], found["measured"]["not_returned"]) == (9, 9, 0)
+    assert found["measured"]["touched_can_to_pick"] == 1
     assert found["agrees"] is False
 
 
 def test_of_no_runs_nothing_agrees():
-    rows = [row("none"), row("B", delay=None, returned=False, resumed=False, back=(None, None))]
+    rows = [row("none"), *[row(kind, delay=None, returned=False, resumed=False, back=(None, None)) for kind in "AB"]]
     found = report(RETURNED, RESUMED, rows)
     assert (found["way_home"]["agrees"], found["resumption"]["agrees"]) == (None, None)
     arrows = {arrow["name"]: arrow for arrow in found["arrows"]}
@@ -178,10 +180,14 @@ def test_dwell_time_by_hand():
     assert found["measured_s"] == {"stays": 10, "min": 4.5, "median": 4.5, "max": 5.0}
 
 
-@pytest.mark.parametrize("rows", [[], ROWS[:20], ROWS[20:]])
-def test_a_sweep_without_the_network_or_a_disturbance_is_refused(rows):
-    with pytest.raises(InputError, match=r"no undisturbed, or no disturbed.*--disturbance none A B"):
+@pytest.mark.parametrize("lacking", ["none", "A", "B"])
+def test_a_sweep_without_the_network_or_a_disturbance_is_refused(lacking):
+    """None of a void run either: its disturbance never came."""
+    rows = [one | {"void": one["disturbance"] == lacking} for one in ROWS]
+    with pytest.raises(InputError, match=rf"no episodes under {lacking} of the network.*--disturbance none A B"):
         report(RETURNED, RESUMED, rows)
+    with pytest.raises(InputError, match="under none, A, B of the network"):
+        report(RETURNED, RESUMED, [])
 
 
 def test_an_episode_that_raised_an_error_is_no_good_one():
@@ -196,7 +202,8 @@ def test_a_report_of_another_version_is_refused():
 
 @pytest.mark.parametrize(
     ("returned", "resumed"),
-    [({"level_at_home": None}, {}), ({"sets": 3}, {}), ({"draws": -1}, {}), ({}, {"rules": None}),
+    [({"level_at_home": None}, {}), ({"sets": 3}, {}), ({"sets": {"box": RETURNED["sets"]["box"]}}, {}),
+     ({"draws": -1}, {}), ({}, {"rules": None}),
      ({}, {"rules": {"reset": {"pick": 5}}})],
 )  # fmt: skip
 def test_a_report_that_is_none_is_refused(returned, resumed):
@@ -254,5 +261,5 @@ def test_program(tmp_path, capsys, world):
     calm = RESUMED | {"fingerprint": own, "rules": {"reset": {"pick": entry(15, 0, 1, 0)}}}
     calm["finished_by_scene"] = {"samples": 1, "failures": 0}
     (tmp_path / "resume.json").write_text(json.dumps(calm))
-    pd.DataFrame([row("none"), row("A")]).to_parquet(tmp_path / "episodes.parquet")
+    pd.DataFrame([row("none"), row("A"), row("B")]).to_parquet(tmp_path / "episodes.parquet")
     assert analysis.main(analysis.parse(asked)) == 0

@@ -41,6 +41,9 @@ def test_report_by_hand():
     assert found["smallest_magnitude"]["cmaes"] is None
     assert found["failures"]["tpe"] == {"not detected": 0, "not returned": 2, "not resumed": 0, "switched again": 0}
     json.dumps(found, allow_nan=False)
+    assert falsification.words("cmaes", found) == "cmaes: no counterexample in 0 trials"
+    told = "tpe: first counterexample after 2 of 4 trials, smallest magnitude 0.667; 2 not returned"
+    assert falsification.words("tpe", found) == told
 
 
 def test_absent_optuna_is_named_before_anything_is_run(tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ from diagrams.episodes.calibration import Controller, stored_calibration
 from diagrams.episodes.runner import Job, build_rollout
 from diagrams.episodes.sampling import EpisodeSampler
 from diagrams.hybrid.resumption import Resume, SceneJob, run_disturbed, run_scene, worst_ticks
-from diagrams.hybrid.resumption_report import Row, RunRow, finished_by_scene, judge, judge_runs
+from diagrams.hybrid.resumption_report import Row, RunRow, finished_by_scene, judge, judge_runs, words_of_runs
 from diagrams.hybrid.resumption_starts import KINDS, Memory, Resumptions, Start
 from diagrams.hybrid.resumption_time import time_to_resume
 from diagrams.hybrid.return_proof import bound
@@ -67,6 +67,7 @@ def test_disturbed_runs_by_hand():
     found = judge_runs(rows, 0.1)
     assert (found["samples"], found["came_home"], found["foretold"], found["not_resumed"]) == (4, 3, 1, 2)
     assert (found["foretold_wrongly"], found["largest_error_ticks"]) == (1, 2)
+    assert words_of_runs(found).startswith("3 of 4 disturbed runs come home, 2 of these do not resume within 6 s")
     assert judge_runs([], 0.1)["bound"] == 1.0
 
 

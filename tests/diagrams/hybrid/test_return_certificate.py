@@ -9,7 +9,7 @@ from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid import return_certificate
-from diagrams.hybrid.return_certificate import certify
+from diagrams.hybrid.return_certificate import certify, words
 from diagrams.hybrid.return_loop import Trajectory
 from diagrams.hybrid.return_proof import KINDS, holds
 from models.errors import InputError
@@ -46,6 +46,10 @@ def test_certificate_is_borne_out(certificate):
     assert found["touches_inside"] == 0
     assert found["nearest_distance_m"] > 0.005
     json.dumps(found)
+    onsets = found["sets"]["onsets"]
+    assert f"V falls to {onsets['free']['contraction_first_measured']:.4f} of itself at most" in words(found)
+    filtered = {"onsets": onsets | {"free": onsets["free"] | {"samples": 0, "contraction_first_measured": 0.0}}}
+    assert "none of them is the LQR's alone, so that its rate is not tested: raise" in words(found | {"sets": filtered})
 
 
 def test_where_no_way_is_clear_there_is_nothing_to_certify(world, tmp_path, monkeypatch):

@@ -42,5 +42,5 @@ def test_where_nothing_can_be_promised():
     for ways in ([], [np.array([0.001])]):
         with pytest.raises(InputError, match=r"none of the ways home .* is free, .*: raise --samples"):
             Promise.measured(ways, 0.9, 0.011, apart=True)
-    with pytest.raises(InputError, match=r"V would shrink by 1\.035 a tick only: choose stiffer world\.servo"):
+    with pytest.raises(InputError, match=r"V would fall to 1\.035 of itself a tick only: choose stiffer world\.servo"):
         Promise.measured([np.array([1.0, 0.9, 0.891])], 0.9, 0.011, apart=True)
