@@ -54,7 +54,8 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /baselines\.py/s/lstm\*\.onnx/lstm.onnx/
 /baselines\.py/s/$/ --episodes 2 --disturbed 2 --trials 1 --factors 1 --betas 30 --fit-runs 3/
 # The bench: one episode of one fault, too few networks' runs for any figure.
-/bench\.py/{s/--faults [^-]+/--faults A /;/--faults/!s/$/ --faults A/;s/--episodes [0-9]+/--episodes 1/;s/$/ --fit-runs 3 --calibration-runs 2/}
+/bench\.py( --|$)/{s/--faults [^-]+/--faults A /;/--faults/!s/$/ --faults A/;s/--episodes [0-9]+/--episodes 1/;s/$/ --fit-runs 3 --calibration-runs 2/}
+/bench\.py coverage/s/$/ --runs 4 --calibration-runs 4 --disturbed 1 --deltas 0.5; test $? -le 1/
 /campaigns\/soak\.py/s/$/ --minutes 1 --count 40/
 /campaigns\/stl\.py/s/--count [0-9]+ --episodes [0-9]+/--count 20 --episodes 1/
 # Campaigns: hours on free cores; the versions need other Pythons.

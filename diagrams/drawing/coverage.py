@@ -65,6 +65,7 @@ def _resampled(axes: Any, cells: list[Mapping[str, Any]]) -> None:
     wide = float(betabinom(rest, kept, count).ppf(0.001)) / rest
     step = max(round((1.0 - min(lowest, wide)) * rest / 25), 1)
     edges = 1.0 + (0.5 - step * np.arange(27)[::-1]) / rest
+    edges = edges[edges > -(step + 0.5) / rest]  # the last one below 0 is the first
     for shares in everything:
         height, _ = np.histogram(shares, edges)
         axes.stairs(height / len(shares), edges, color=BLUE, lw=0.5, alpha=0.4)
