@@ -141,7 +141,7 @@ def record_run(bench: Path, job: ExportJob) -> RecordedRun:
     trace = bench / SHOWN / f"{task.key}{TRACE}"
     if not trace.is_file():
         raise InputError(f"there is no {trace}: the bench's own command makes it again")
-    if not of_run(trace.read_text(), record):
+    if not of_run(trace.read_bytes(), record):
         raise InputError(f"{task.key} runs otherwise now than in {bench}: take the version of the program that made it")
     policy = to_run.controller.load()
     tape, outcome, ticks = run.tape, run.outcome, len(record.time)
@@ -233,5 +233,5 @@ def _digests(path: Path) -> dict[str, str]:
         if not isinstance(found, dict):
             raise TypeError(f"{found!s:.40} is no table")
         return found
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f"{path} has no digests ({error}): export to this --out first") from error

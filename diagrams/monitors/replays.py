@@ -46,7 +46,7 @@ def make_replay(folder: Path, key: str) -> int:
         _, record = rollout.run(
             episode, on_tick=lambda _: bar.update(), picture_every=job.picture_every, calibration=calibration
         )
-    if not of_run(trace.read_text(), record):
+    if not of_run(trace.read_bytes(), record):
         raise InputError(f"{key} runs otherwise now than in {folder}: take the version of the program that made it")
     meshcat.StopRecording()
     meshcat.PublishRecording()
@@ -81,7 +81,7 @@ def tasks_of(folder: Path, option: str) -> list[BenchTask]:
         given = {name: value for name, value in summary["arguments"].items() if value is not None}
         given |= {name: Path(given[name]) for name in ("weights", "world") if name in given}
         return list(_tasks(folder, BenchArguments(**given), summary))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"{option}: {path} is no summary of a bench ({error}): run the bench in --out, then ask again"
         ) from error

@@ -42,9 +42,9 @@ def run_hash(record: Record) -> str:
     return record_hash(record)[:16]
 
 
-def of_run(script: str, record: Record) -> bool:
+def of_run(script: bytes, record: Record) -> bool:
     """Whether that `trace_script` is of this run."""
-    return f'"hash":"{run_hash(record)}"' in script
+    return f'"hash":"{run_hash(record)}"'.encode() in script
 
 
 def spans(active: Sequence[bool]) -> list[list[int]]:
