@@ -17,6 +17,7 @@ a kill, and one with more policies adds them. Exit code 2: bad input.
 """
 
 import dataclasses
+import os
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -203,7 +204,7 @@ def _check(arguments: BaselinesArguments) -> None:
         raise InputError(
             "there is no detector, factor or beta: give --detector, --factors and --betas one or more each"
         )
-    if len({path.parent.resolve() for path in arguments.policies}) != 1:
+    if len({os.path.realpath(path.parent) for path in arguments.policies}) != 1:
         raise InputError("the policies lie in several folders: put them into one, where the detectors' files will be")
     for path in arguments.policies:
         if not path.is_file():

@@ -1,5 +1,6 @@
 """Checks of what a user gives, before any work is done for it: numbers, files that are read, files that are written."""
 
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -47,11 +48,11 @@ def require_plain(path: str | Path, remedy: str = "give another name", largest: 
 
 def require_apart(written: Mapping[str, Path | None], read: Mapping[str, Path | None] | None = None) -> None:
     """Raises InputError for a file, by its option, that is to be written twice, or that is also read."""
-    seen = {path.resolve(): option for option, path in (read or {}).items() if path is not None}
+    seen = {os.path.realpath(path): option for option, path in (read or {}).items() if path is not None}
     for option, path in written.items():
         if path is None:
             continue
-        if (other := seen.setdefault(path.resolve(), option)) != option:
+        if (other := seen.setdefault(os.path.realpath(path), option)) != option:
             raise InputError(f"{option} {path} is the file of {other} too: choose another name")
 
 

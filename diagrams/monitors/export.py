@@ -229,5 +229,5 @@ def _digests(path: Path) -> dict[str, str]:
         if not isinstance(found, dict):
             raise TypeError(f"{found!s:.40} is no table")
         return found
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, RecursionError, TypeError, ValueError) as error:
         raise InputError(f"{path} has no digests ({error}): export to this --out first") from error

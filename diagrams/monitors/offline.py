@@ -15,7 +15,7 @@ from diagrams.monitors.metrics import Monitored, measured
 from diagrams.monitors.scoring import Score, largest_before
 from diagrams.monitors.tapes import replay
 from models.checks import LARGEST_SEED, require_numbers, require_plain
-from models.command_line import require
+from models.command_line import require, require_writable
 from models.data.motions import Motion, read_motions
 from models.data.runs import Tape
 from models.data.scaling import MinMaxScaling
@@ -135,6 +135,7 @@ class Offline:
         arm = Arm.of(uses["fit"], self._period(motions))
         if (joints := self.joints or arm.posture_size) > arm.posture_size:
             raise InputError(f"--joints {joints} is more than the {arm.posture_size} components of a state: take fewer")
+        require_writable(self.out / RESULT)
         found, left_out = list[dict[str, Any]](), dict[str, str]()
         for spec in tqdm(named, desc="detectors", unit="detector", leave=False, disable=None):
             try:

@@ -88,7 +88,7 @@ def of_summary(folder: Path, option: str, of: Callable[[BenchArguments, dict[str
         given = {name: value for name, value in summary["arguments"].items() if value is not None}
         given |= {name: Path(given[name]) for name in ("weights", "world") if name in given}
         return of(BenchArguments(**given), summary)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(
             f"{option}: {path} is no summary of a bench ({error}): run the bench in --out, then ask again"
         ) from error

@@ -44,17 +44,17 @@ def run_hash(record: Record) -> str:
     return record_hash(record)[:16]
 
 
-def kept_trace(bench: Path, key: str) -> str:
+def kept_trace(bench: Path, key: str) -> bytes:
     """The `trace_script` of the episode `key` in the folder `bench`; raises InputError where there is none."""
     path = bench / SHOWN / f"{key}{TRACE}"
     if not path.is_file():
         raise InputError(f"there is no {path}: the bench's own command makes it again")
-    return path.read_text()
+    return path.read_bytes()
 
 
-def require_same_run(script: str, record: Record, bench: Path, key: str) -> None:
+def require_same_run(script: bytes, record: Record, bench: Path, key: str) -> None:
     """Raises InputError where the `script` of the episode `key` in `bench` is not of this run, to the bit."""
-    if f'"hash":"{run_hash(record)}"' not in script:
+    if f'"hash":"{run_hash(record)}"'.encode() not in script:
         raise InputError(f"{key} runs otherwise now than in {bench}: take the version of the program that made it")
 
 

@@ -74,7 +74,7 @@ class LeRobotFolder(AbstractContextManager):
             write_bytes(kept, json.dumps({"settings": text, "attributes": self._attributes}, indent=1).encode())
         except OSError as error:
             raise InputError(f"{path} cannot be written ({error.strerror}): choose another --out") from error
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, RecursionError, TypeError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{kept} is damaged ({error}): delete {path}, or choose another --out") from error
@@ -129,7 +129,13 @@ class LeRobotFolder(AbstractContextManager):
             try:
                 table = pq.read_table(path)
                 notes = json.loads(table.schema.metadata[b"hindsight"])
-            except (OSError, KeyError, TypeError, ValueError) as error:  # pyarrow's errors are among these
+            except (
+                OSError,
+                KeyError,
+                RecursionError,
+                TypeError,
+                ValueError,
+            ) as error:  # pyarrow's errors are among these
                 words = " ".join(str(error).split())
                 raise InputError(f"{path} is damaged ({words}): delete it, and record once more") from error
             own, length = np.array(notes.pop("counts")), table.num_rows

@@ -81,7 +81,8 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         with naming(path):
             yield path
         return
-    target = path.resolve() if path.is_symlink() else path
+    # Of a link that leads to itself the link: Path.resolve raises for one, up to Python 3.12, what is no OSError.
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
     partial = partial_of(target)
     try:
         with naming(path):

@@ -38,6 +38,13 @@ def run_bench_task(folder: Path, task):
     return bench_row(folder, task)
 
 
+def record_run(bench: Path, job):
+    from tests.diagrams.bench_fakes import recorded
+
+    note(job.name)
+    return recorded(job.name, key=job.task.key)
+
+
 def blocked(job):
     _, kind, seeds = job
     note(f"{kind} {seeds[0]}")

@@ -115,7 +115,7 @@ class Inputs:
         texts = [fuzz_yaml.worlds(bases), fuzz_yaml.scenarios(bases)] * 3
         files = [fuzz_weights.weights(bases)] * 5 + [fuzz_files.demonstrations(bases)] * 2
         files += [fuzz_files.records(bases)] * 2 + [fuzz_files.sweeps(bases)] * 2 + [fuzz_files.checkpoints(bases)] * 2
-        files += [fuzz_bench.benches(bases)] * 2
+        files += [fuzz_bench.benches(bases)] * 2 + [fuzz_bench.exports(bases), fuzz_bench.runs(bases)]
         self.strategies = [*lines, *texts, *files, fuzz_weights.autoencoders(bases)]
 
     def __getitem__(self, number: int) -> Case:
@@ -190,10 +190,13 @@ def main(arguments: FuzzArguments) -> int:
         print(f"{found.words.encode(errors='backslashreplace').decode()}\n{found.wrong or 'answered well'}")
         return 1 if found.wrong else 0
     with RowStore(out / "log.jsonl", {"seed": arguments.seed, "sources": sources()}) as store:
-        numbers = [n for n in range(arguments.count) if str(n) not in store.rows]
+        numbers, others = [n for n in range(arguments.count) if str(n) not in store.rows], set[int]()
         for number in tqdm(numbers, unit="case", disable=None):
+            if (turn := number % len(inputs.strategies)) in others:
+                continue
             case = inputs[number]
             if arguments.subject and not case.subject.startswith(arguments.subject):
+                others.add(turn)
                 continue
             found = answer(case, main_of(case.program), scratch)
             if found.wrong:

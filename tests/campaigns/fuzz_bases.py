@@ -16,9 +16,12 @@ from diagrams.episodes.episode import Outcome
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.record import save_record
 from diagrams.episodes.store import RowStore
+from diagrams.monitors import export
 from diagrams.sweeps.plan import plan
 from diagrams.sweeps.table import write_table
 from diagrams.world.configuration import World
+from models.data.lerobot import LeRobotFolder
+from models.data.recording import RecordingFile
 from models.files.container import file_hash
 from models.files.detectors import StoredDetector, save_detector
 from models.files.graphs import write_graph
@@ -40,6 +43,7 @@ BENCH = [
     "--weights", "weights", "--detectors", "recall", "knn", "mahalanobis", "--faults", "A", "--episodes", "1",
     "--fit-runs", "2", "--calibration-runs", "2", "--workers", "1",
 ]  # fmt: skip
+OFFLINE = ["--detectors", "speed", "--seed", "1", "--out", "out"]
 RNN = [
     "rnn", "--data", "demos.h5", "--encoder", "weights/encoder.onnx", "--out", "out", "--rnn",
     "tests.models.outside:Elman",
@@ -63,7 +67,9 @@ class Bases:
     autoencoder: bytes
     record: bytes
     sweep: dict[str, bytes]
-    bench: dict[str, bytes]  # out/NAME of a bench that is done
+    bench: dict[str, bytes]  # NAME in a bench that is done
+    export: dict[str, bytes]  # out/NAME of what is exported of it
+    runs: dict[str, bytes]  # of ten, in both layouts: lerobot/NAME and robomimic.hdf5
     reports: dict[str, bytes]  # out/NAME.json and the sweep for `analysis cycle`
 
     def write_weights(self, names: tuple[str, ...] = ()) -> dict[str, bytes]:
@@ -124,6 +130,8 @@ def _make(folder: Path) -> Bases:
         record=(folder / "B.npz").read_bytes(),
         sweep=_sweep(folder),
         bench=_bench(folder),
+        export=_export(folder),
+        runs=_runs(folder),
         reports=_reports(folder),
     )
 
@@ -160,7 +168,31 @@ def _bench(folder: Path) -> dict[str, bytes]:
     bench_fakes.SIZES["hidden_state"] = (8 * HORIZON,)  # of the handmade network
     if bench.main(bench.parse([*BENCH, "--workers", "0", "--out", str(out)])):
         raise RuntimeError("the bench that the inputs are made from could not be made")
-    return {f"out/{path.relative_to(out)}": path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    return _contents(out)
+
+
+def _contents(folder: Path, prefix: str = "") -> dict[str, bytes]:
+    """Of all files in it, by their names there."""
+    return {f"{prefix}{path.relative_to(folder)}": path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def _export(folder: Path) -> dict[str, bytes]:
+    out = folder / "export"
+    export.record_run = lambda _, job: bench_fakes.recorded(job.name, key=job.task.key)
+    if export.Export(out, bench=folder / "bench", workers=0).run():
+        raise RuntimeError("the bench that the inputs are made from could not be exported")
+    return _contents(out, "out/")
+
+
+def _runs(folder: Path) -> dict[str, bytes]:
+    out, given = folder / "runs", ({"made": "up"}, compatibility.of_data_sets(World()))
+    runs = [bench_fakes.recorded(f"demo_{i}", success=i < 9) for i in range(10)]
+    with RecordingFile(out / export.ROBOMIMIC, *given) as file, LeRobotFolder(out / export.LEROBOT, *given) as lerobot:
+        for layout in (file, lerobot):
+            for run in runs:
+                layout.add(run)
+            layout.finish([run.name for run in runs])
+    return _contents(out)
 
 
 def _reports(folder: Path) -> dict[str, bytes]:

@@ -8,13 +8,19 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.campaigns.forked import Case
-from tests.campaigns.fuzz_bases import BENCH, Bases
+from tests.campaigns.fuzz_bases import BENCH, OFFLINE, Bases
 from tests.campaigns.fuzz_changes import ODD, changed
-from tests.campaigns.fuzz_files import change_report, change_table
+from tests.campaigns.fuzz_files import change_hdf5, change_report, change_table
 from tests.campaigns.fuzz_inputs import needed
 from tests.campaigns.fuzz_weights import change_graph, change_tensors
 
-INSIDE = {"parquet": change_table, "json": change_report, "safetensors": change_tensors, "onnx": change_graph}
+INSIDE = {
+    "hdf5": change_hdf5,
+    "parquet": change_table,
+    "json": change_report,
+    "safetensors": change_tensors,
+    "onnx": change_graph,
+}
 
 
 def _rows(draw: Any, content: bytes) -> bytes:
@@ -69,14 +75,15 @@ def _tape(draw: Any, content: bytes) -> bytes:
 def benches(bases: Bases) -> st.SearchStrategy[Case]:
     """The whole folder but for one file; the same is asked for, or a detector more, which is fitted to the tapes."""
     # Of the explorer's files the bench reads none.
-    names = sorted(name for name in bases.bench if name.rsplit(".")[-1] in {*INSIDE, "jsonl", "npz"})
+    own = {f"out/{name}": content for name, content in bases.bench.items()}
+    names = sorted(name for name in own if name.rsplit(".")[-1] in {*INSIDE, "jsonl", "npz"})
     rows, tapes = [n for n in names if n.endswith("jsonl")], [n for n in names if n.endswith("npz")]
     others = (bases.sweep["rows.jsonl"], bases.candidate, bases.record)
 
     @st.composite
     def cases(draw: Any) -> Case:
         name = draw(st.sampled_from([*rows * 6, *tapes * 2, *names]))
-        files = needed(bases, ("weights",)) | dict(bases.bench)
+        files = needed(bases, ("weights",)) | own
         inside = _rows if name in rows else _tape if name in tapes else INSIDE[name.rsplit(".")[-1]]
         if draw(st.integers(0, 19)) == 0:
             del files[name]
@@ -84,5 +91,49 @@ def benches(bases: Bases) -> st.SearchStrategy[Case]:
             files[name] = draw(changed(files[name], inside, others))
         more = ["--detectors", "knn", "speed"] if name in tapes or draw(st.booleans()) else []
         return Case("benches", "bench", [*BENCH, "--out", "out", *more], files, (name.split("/")[-1], "out "))
+
+    return cases()
+
+
+def exports(bases: Bases) -> st.SearchStrategy[Case]:
+    """A bench of which a replay or data sets are made, and data sets that are gone on with, a file of them changed."""
+    read = [
+        "bench/summary.json",
+        "bench/bench.parquet",
+        "bench/networks/lstm.onnx",
+        "bench/explorer/off-lstm-0-A-2000000.js",
+    ]
+    written = sorted(name for name in bases.export if name.rsplit(".")[-1] in INSIDE)
+    base = ["export", "--bench", "bench", "--out", "out", "--workers", "0"]
+    replay = ["--replay", "off-lstm-0-A-2000000", "--out", "bench"]
+
+    @st.composite
+    def cases(draw: Any) -> Case:
+        name = draw(st.sampled_from([*read * 2, *written]))
+        files = needed(bases, ("bench",)) | bases.export
+        if draw(st.integers(0, 19)) == 0:
+            del files[name]
+        else:
+            inside = INSIDE.get(name.rsplit(".")[-1], lambda draw, content: content[::-1])
+            files[name] = draw(changed(files[name], inside, (bases.candidate, bases.record)))
+        argv = draw(st.sampled_from([base, [*base, "--check", "1"], [*base, "--limit", "1"]]))
+        argv = replay if name in read and draw(st.booleans()) else argv
+        return Case("exports", "bench", argv, files, (name.split("/")[-1], "out", "bench "))
+
+    return cases()
+
+
+def runs(bases: Bases) -> st.SearchStrategy[Case]:
+    """Runs of another arm, in both layouts, with a file changed."""
+    names = [name for name in bases.runs if name.rsplit(".")[-1] in INSIDE]
+    often = [name for name in names if name.endswith(("hdf5", "info.json")) or "/meta/" in name] * 4
+
+    @st.composite
+    def cases(draw: Any) -> Case:
+        name = draw(st.sampled_from([*often, *names]))
+        files, folder = needed(bases, ("runs",)), name.split("/")[0]
+        files[name] = draw(changed(files[name], INSIDE[name.rsplit(".")[-1]], (bases.candidate, bases.record)))
+        given = ["offline", "--data", folder, *OFFLINE]
+        return Case("runs", "bench", given, files, (folder, "--period", "--state"))
 
     return cases()

@@ -14,7 +14,7 @@ from tests.campaigns.fuzz_changes import ODD, changed
 from tests.campaigns.fuzz_inputs import needed
 
 
-def _hdf5(draw: Any, content: bytes) -> bytes:
+def change_hdf5(draw: Any, content: bytes) -> bytes:
     """Demonstrations with a group, an array or an attribute changed."""
     held = io.BytesIO(content)
     with h5py.File(held, "r+") as file:
@@ -80,7 +80,7 @@ def demonstrations(bases: Bases) -> st.SearchStrategy[Case]:
     def cases(draw: Any) -> Case:
         program, argv, needs = draw(st.sampled_from(readers))
         files = needed(bases, needs)
-        files["demos.h5"] = draw(changed(bases.demos, _hdf5, (bases.record, bases.candidate)))
+        files["demos.h5"] = draw(changed(bases.demos, change_hdf5, (bases.record, bases.candidate)))
         return Case("demonstrations", program, argv, files, ("demos.h5", "demo_"))
 
     return cases()

@@ -9,9 +9,10 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from hypothesis import strategies as st
 
 from diagrams import analysis, baselines, bench, calibrate, figures, live, pick_place, sweep, teach
+from diagrams.monitors import export, offline
 from models.training import __main__ as training
 from tests.campaigns.forked import Case, Special
-from tests.campaigns.fuzz_bases import BENCH, RECALL, RNN, SWEEP, Bases
+from tests.campaigns.fuzz_bases import BENCH, OFFLINE, RECALL, RNN, SWEEP, Bases
 
 NUMBERS = (
     "0", "-1", "1", "2", "3", "-0.5", "0.5", "1.5", "nan", "-nan", "inf", "-inf", "1e308", "1e999", "-1e308", "1e-320",
@@ -69,6 +70,10 @@ def programs() -> dict[str, Program]:
         ),
         "sweep": Program(sweep.SweepArguments, [*weights, *SWEEP, "--out", "out"]),
         "bench": Program(bench.BenchArguments, [*BENCH, "--out", "out"]),
+        "bench export": Program(
+            export.Export, ["--bench", "bench", "--out", "new", "--workers", "0"], ("bench",), ("export",)
+        ),
+        "bench offline": Program(offline.Offline, ["--data", "robomimic.hdf5", *OFFLINE], ("runs",), ("offline",)),
         "figures": Program(figures.FiguresArguments, [*weights, "--records", "B.npz"], ("weights", "record")),
         "live": Program(live.LiveArguments, [*weights, "--no-open"]),
     }
@@ -108,6 +113,8 @@ def needed(bases: Bases, needs: tuple[str, ...]) -> dict[str, bytes | Special]:
         "candidate": lambda: {"rnn-4.onnx": bases.candidate},
         "policy": lambda: {"policy-4.onnx": bases.policy},
         "reports": lambda: bases.reports,
+        "bench": lambda: {f"bench/{name}": content for name, content in bases.bench.items()},
+        "runs": lambda: bases.runs,
         "sweep": lambda: {f"sweep/{name}": content for name, content in bases.sweep.items()},
     }
     for name in needs:

@@ -48,13 +48,16 @@ class Target:
 
     def files(self, out: Path) -> Any:
         """What it left."""
-        if self.left is not None:
-            return self.left(out)
-        return {
-            str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in sorted(out.rglob("*"))
-            if path.is_file() and path.name not in self.volatile
-        }
+        return hashes(out, *self.volatile) if self.left is None else self.left(out)
+
+
+def hashes(folder: Path, *but: str) -> dict[str, str]:
+    """SHA-256 of all files in `folder`, `but` those of that name."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name not in but
+    }
 
 
 def rows_of(name: str) -> Callable[[Path], int]:
@@ -132,13 +135,13 @@ def _without_times(out: Path) -> Any:
     return [{name: value for name, value in row.items() if name not in VOLATILE} for row in found], summary["arguments"]
 
 
-def _demonstrations(out: Path) -> Any:
+def _demonstrations(path: Path) -> Any:
     """Content of the HDF5 file: the order in which demonstrations came is not part of it."""
     import h5py
 
     from models.data.recording import content_hash
 
-    with h5py.File(out / "y.h5") as file:
+    with h5py.File(path) as file:
         assert file["data"].attrs["content_hash"] == content_hash(file)
         return content_hash(file), sorted(file["data"]), int(file["data"].attrs["total"]), sorted(file)
 
@@ -220,6 +223,15 @@ def _benched(out: Path) -> int:
     return rows_of("rows.jsonl")(out) + sum(len(header["metadata"]) for header in fitted)
 
 
+def _exported(out: Path) -> int:
+    path = out / "digests.json"
+    return len(json.loads(path.read_text())) if path.exists() else 0
+
+
+def _export_left(out: Path) -> Any:
+    return _demonstrations(out / "robomimic.hdf5"), hashes(out, "robomimic.hdf5")
+
+
 PICTURES = ("replay.html", "plot.png", "graphviz.svg", "video.mp4", "film.webp")
 
 
@@ -258,7 +270,7 @@ TARGETS: dict[str, Target] = {
     ),
     "teach": Target(
         "diagrams.teach", lambda given, out: ["--out", f"{out}/y.h5", "--limit", "12", "--workers", "2"], _in_hdf5,
-        lambda: _swap("diagrams.teach", demonstrate=fakes.demonstrate), _demonstrations,
+        lambda: _swap("diagrams.teach", demonstrate=fakes.demonstrate), lambda out: _demonstrations(out / "y.h5"),
     ),
     "teach-lerobot": Target(
         "diagrams.teach",
@@ -329,7 +341,24 @@ TARGETS: dict[str, Target] = {
                             "--recoveries", "planned", "hold", "--workers", "2"],
         _benched, _patch_bench, volatile=("rows.jsonl",),
     ),
+    "export": Target(
+        "diagrams.bench",
+        lambda given, out: ["export", "--bench", f"{given}/bench", "--out", str(out), "--workers", "2"],
+        _exported, lambda: _swap("diagrams.monitors.export", record_run=fakes.record_run), _export_left,
+    ),
 }  # fmt: skip
+
+
+def _make_bench(given: Path) -> None:
+    """A finished bench of 12 episodes with the detectors off, for what is made of one."""
+    from diagrams import bench
+    from tests.diagrams.bench_fakes import bench_row
+
+    _swap("diagrams.bench", run_bench_task=bench_row)
+    sizes = ["--episodes", "6", "--fit-runs", "2", "--calibration-runs", "2", "--workers", "0"]
+    asked = [*_weights(given), *sizes, "--detectors", "recall", "--faults", "A", "--out", f"{given}/bench"]
+    if bench.main(bench.parse(asked)):
+        raise RuntimeError("the bench that is exported could not be made")
 
 
 def prepare(given: Path) -> None:
@@ -351,6 +380,7 @@ def prepare(given: Path) -> None:
     made = dict(data=given / "tiny.h5", encoder=given / "encoder.onnx", features=given / "features.npz", batch_size=4)
     found = train_rnn(RnnOptions(**made, out=given / "made", rnn="tests.models.outside:Elman", steps=8))  # type: ignore[arg-type]
     found.rename(given / "rnn-8.onnx")
+    _make_bench(given)
     home = World().initial_posture
     with RecordingFile(given / "waving.h5", {"world": {}}, {"initial_posture": home, "period": 0.1}) as file:
         for index in range(4):

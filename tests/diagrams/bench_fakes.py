@@ -13,6 +13,7 @@ from diagrams.episodes.record import ARRAYS, PICTURE_EVERY, Record
 from diagrams.monitors.bench_task import TAPES, BenchTask, tape_bytes
 from diagrams.monitors.scoring import Score
 from diagrams.monitors.traces import PICTURES, SHOWN, TRACE, pictures_file, trace_script
+from models.data.recording import RecordedRun
 from models.data.runs import Tape
 
 PAUSE, TICKS, ONSET = 0.05, 60, 20  # s; ticks
@@ -68,6 +69,19 @@ def shown(ticks: int, disturbed: bool) -> tuple[Record, list[bool]]:
         "pictures": np.repeat(4 * at, 112 * 112 * 3).reshape(-1, 112, 112, 3).astype(np.uint8),
     }
     return Record(events=[(0.0, "<b>subtask 1</b>")], **arrays), [disturbed and k >= ONSET for k in range(ticks)]
+
+
+def recorded(name: str, success: bool = True, **notes) -> RecordedRun:
+    """A run of TICKS for a data set; it depends on nothing but its name and what is said of it."""
+    rng = chance(name)
+    swing = 0.1 * np.sin(0.2 * np.arange(TICKS)[:, None] * rng.uniform(0.5, 1.5, 8)) + 0.001 * rng.normal(
+        size=(TICKS, 8)
+    )
+    pictures = np.repeat(rng.integers(0, 255, TICKS), 16 * 16 * 3).reshape(-1, 16, 16, 3).astype(np.uint8)
+    return RecordedRun(
+        name=name, split="train", vacant="left", success=success, rgb=pictures, posture=swing,
+        actions=np.vstack((swing[1:], swing[-1:])), further={"scores": rng.uniform(size=(TICKS, 2))}, notes=notes,
+    )  # fmt: skip
 
 
 def slow_row(folder: Path, task: BenchTask) -> dict:

@@ -61,6 +61,13 @@ def test_files_that_are_written_twice_or_read_too_are_refused(tmp_path, monkeypa
         require_apart({"--a": Path("x")}, {"--d": tmp_path / "x"})
 
 
+def test_a_link_that_leads_to_itself_is_compared_as_it_is(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    require_apart({"--a": tmp_path / "loop"}, {"--b": tmp_path / "x"})
+    with pytest.raises(InputError, match="loop is the file of --b too"):
+        require_apart({"--a": tmp_path / "loop"}, {"--b": tmp_path / "loop"})
+
+
 def test_options_that_exclude_each_other_are_seen_whatever_their_values():
     require_one_of(["--rnn", "lstm"], "--rnn", "--policy")
     with pytest.raises(InputError, match="--rnn and --policy are given: leave one out"):

@@ -129,16 +129,23 @@ def test_bad_input_is_named(made, tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             export(made, tmp_path / "none", *more)
-    with pytest.raises(InputError, match=r"--bench .*is no summary of a bench"):
-        export(tmp_path, tmp_path / "none")
+    for text in ("", "[" * 200_000):
+        (tmp_path / "summary.json").write_text(text)
+        with pytest.raises(InputError, match=r"--bench .*is no summary of a bench"):
+            export(tmp_path, tmp_path / "none")
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / DIGESTS).write_text("[" * 200_000)
+    with pytest.raises(InputError, match="has no digests"):
+        export(made, tmp_path / "deep", "--check", "1")
     assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match="was recorded with another episodes"):
         export(made, made / "data", "--limit", "1")
     trace = next((made / "explorer").glob("off-*friction*.js"))
     whole = trace.read_text()
-    trace.write_text(whole.replace('"hash":"', '"hash":"0'))
-    with pytest.raises(InputError, match="runs otherwise now than in"):
-        export(made, tmp_path / "others")
+    for content in (whole.replace('"hash":"', '"hash":"0').encode(), b"\xff"):
+        trace.write_bytes(content)
+        with pytest.raises(InputError, match="runs otherwise now than in"):
+            export(made, tmp_path / "others")
     trace.write_text(whole)
 
 

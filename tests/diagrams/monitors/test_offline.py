@@ -127,7 +127,7 @@ def test_bad_input_is_named(tmp_path, more, words):
     file = save(tmp_path / "theirs.hdf5", 6)
     with pytest.raises(InputError, match=words):
         offline("--data", file, "--out", tmp_path / "out", *more)
-    assert not (tmp_path / "out").exists()
+    assert not [*tmp_path.glob("out/*")]
 
 
 def test_bad_data_are_named(tmp_path):
@@ -139,6 +139,15 @@ def test_bad_data_are_named(tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             offline("--data", path, *given)
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text("[" * 200_000)
+    with pytest.raises(InputError, match="is no LeRobotDataset, or a damaged one"):
+        offline("--data", tmp_path, *given)
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"file/offline\.json cannot be written .*: choose another name"):
+        offline(
+            "--data", save(tmp_path / "six.hdf5", 6), *given[:2], "--detectors", "speed", "--out", tmp_path / "file"
+        )
     few, other = tmp_path / "few.hdf5", save(tmp_path / "seven.hdf5", 7)
     with h5py.File(save(few, 6), "r+") as file:
         for i in range(7, DONE):

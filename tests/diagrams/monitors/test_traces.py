@@ -28,9 +28,10 @@ def test_spans(active, found):
 def test_a_script_calls_the_page_with_rounded_numbers(tmp_path):
     record, acting = shown(60, True)
     scores = {"recall": np.r_[0.0, 1234.5678, np.full(58, 0.12345)]}
-    script = trace_script("off-lstm-0-A-1", record, acting, scores, np.full(60, 2.0 / 3.0)).decode()
-    assert script.startswith('episode("off-lstm-0-A-1", {')
-    trace = json.loads(script[len('episode("off-lstm-0-A-1", ') : -len(");\n")])
+    script = trace_script("off-lstm-0-A-1", record, acting, scores, np.full(60, 2.0 / 3.0))
+    text = script.decode()
+    assert text.startswith('episode("off-lstm-0-A-1", {')
+    trace = json.loads(text[len('episode("off-lstm-0-A-1", ') : -len(");\n")])
     assert trace["scores"]["recall"][:3] == [LEAST, 1230.0, 0.123]
     assert trace["alpha"] == [0.667] * 60
     assert (trace["ticks"], trace["acting"]) == (60, [[20, 60]])

@@ -102,3 +102,9 @@ def test_a_link_stays_and_a_device_is_written_to(tmp_path):
     with pytest.raises(OSError, match="No space left") as refused:
         write_bytes(tmp_path / "full", b"new")
     assert refused.value.filename == str(tmp_path / "full")
+
+
+def test_a_link_that_leads_to_itself_becomes_the_file(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    write_bytes(tmp_path / "loop", b"kept")
+    assert (tmp_path / "loop").read_bytes() == b"kept"
