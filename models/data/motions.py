@@ -15,6 +15,7 @@ from models.errors import InputError
 
 STATE, ACTION = "observation.state", "action"  # of LeRobot
 POSTURE = "posture"  # of ours, in HDF5
+MOST = 10**7  # numbers in an array of a run
 
 
 @dataclass(frozen=True)
@@ -73,14 +74,23 @@ def _of_robomimic(path: Path, states: Sequence[str]) -> Iterator[Motion]:
                     f"{path}: {name} has no observation {', '.join(absent)}: choose from {', '.join(group['obs'])} by "
                     "--state"
                 )
-            parts = [np.asarray(group["obs"][state], float) for state in states]
+            parts = [_array(group["obs"][state]) for state in states]
             success = group.attrs.get("success")
             if success is None and "rewards" in group:
-                success = np.any(np.asarray(group["rewards"]) > 0.0)
+                success = np.any(_array(group["rewards"]) > 0.0)
             yield Motion(
                 f"{path.name}/{name}", np.hstack([part.reshape(len(part), -1) for part in parts]),
-                np.asarray(group["actions"], float), None if success is None else bool(success), period,
+                _array(group["actions"]), None if success is None else bool(success), period,
             )  # fmt: skip
+
+
+def _array(dataset: h5py.Dataset) -> np.ndarray:
+    """Its numbers; a file of some bytes may claim any number of them."""
+    if dataset.size > MOST:
+        raise InputError(
+            f"{dataset.file.filename}: {dataset.name} has {dataset.size} numbers, more than {MOST}: leave that run out"
+        )
+    return np.asarray(dataset, float)
 
 
 def _period(attributes: Any) -> float | None:

@@ -65,3 +65,10 @@ def test_bad_data_are_named(tmp_path):
         file.create_group("data/demo_0/obs")["posture"] = np.ones((3, 2))
     with pytest.raises(InputError, match=r"lost\.hdf5 is damaged"):
         read_motions(tmp_path / "lost.hdf5")
+    with h5py.File(tmp_path / "huge.hdf5", "w") as file:  # some kilobytes that claim 8 TB
+        group = file.create_group("data/demo_0")
+        group.create_dataset("obs/posture", shape=(10**9, 1000), dtype=float, chunks=(1, 1000))
+    with pytest.raises(
+        InputError, match=r"/data/demo_0/obs/posture has 1000000000000 numbers, more than 10000000: leave"
+    ):
+        read_motions(tmp_path / "huge.hdf5")
