@@ -95,6 +95,8 @@ class Export:
         names = {"scores": _scored(jobs[0].task)}
         attributes = of_data_sets(jobs[0].task.world) | {"names": json.dumps(names)}
         path = self.out / DIGESTS
+        for place in (path, self.out / ROBOMIMIC):  # before a part of them is begun
+            require_plain(place, "choose another --out")
         with (
             LeRobotFolder(self.out / LEROBOT, settings, attributes) as folder,
             RecordingFile(self.out / ROBOMIMIC, settings, attributes) as file,

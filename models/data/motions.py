@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from models.checks import require_plain
-from models.data.demonstrations import hdf5_errors
+from models.data.demonstrations import MOST_TICKS, hdf5_errors
 from models.errors import InputError
 
 STATE, ACTION = "observation.state", "action"  # of LeRobot
@@ -86,9 +86,10 @@ def _of_robomimic(path: Path, states: Sequence[str]) -> Iterator[Motion]:
 
 def _array(dataset: h5py.Dataset) -> np.ndarray:
     """Its numbers; a file of some bytes may claim any number of them."""
-    if dataset.size > MOST:
+    if dataset.size > MOST or max(dataset.shape, default=0) > MOST_TICKS:
         raise InputError(
-            f"{dataset.file.filename}: {dataset.name} has {dataset.size} numbers, more than {MOST}: leave that run out"
+            f"{dataset.file.filename}: {dataset.name} has the shape {dataset.shape}, more than {MOST_TICKS} ticks or "
+            f"{MOST} numbers: leave that run out"
         )
     return np.asarray(dataset, float)
 

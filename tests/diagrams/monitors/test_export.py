@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 
 import h5py
 import numpy as np
@@ -140,6 +141,11 @@ def test_bad_input_is_named(made, tmp_path):
     assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match="was recorded with another episodes"):
         export(made, made / "data", "--limit", "1")
+    (tmp_path / "pipe").mkdir()
+    os.mkfifo(tmp_path / "pipe" / ROBOMIMIC)
+    with pytest.raises(InputError, match=r"robomimic\.hdf5 is a pipe"):
+        export(made, tmp_path / "pipe")
+    assert len([*(tmp_path / "pipe").iterdir()]) == 1
     trace = next((made / "explorer").glob("off-*friction*.js"))
     whole = trace.read_text()
     for content in (whole.replace('"hash":"', '"hash":"0').encode(), b"\xff"):

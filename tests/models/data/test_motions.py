@@ -68,7 +68,5 @@ def test_bad_data_are_named(tmp_path):
     with h5py.File(tmp_path / "huge.hdf5", "w") as file:  # some kilobytes that claim 8 TB
         group = file.create_group("data/demo_0")
         group.create_dataset("obs/posture", shape=(10**9, 1000), dtype=float, chunks=(1, 1000))
-    with pytest.raises(
-        InputError, match=r"/data/demo_0/obs/posture has 1000000000000 numbers, more than 10000000: leave"
-    ):
+    with pytest.raises(InputError, match=r"/data/demo_0/obs/posture has the shape .*, more than 100000 ticks"):
         read_motions(tmp_path / "huge.hdf5")
