@@ -107,7 +107,7 @@ class Defeat(NetworkArguments):
         everything = {repr(case.episode): case for case in (*distinct, *by_brute)}.values()
         defeats = [case for case in everything if case.level >= DEFEATED]
         branched = [case for case in distinct if case.saved]
-        result = report(runs, seen, distinct, by_brute) | {
+        result = report(runs, seen, distinct, by_brute, self.population) | {
             "same_bits": {"of": len(branched[:ALIKE]), "same": sum(cases.again(case) for case in branched[:ALIKE])},
             "counterexamples": [plain(case) for case in defeats],
             **clusters(defeats, drawn),
@@ -160,22 +160,28 @@ class Climb:
 
 
 def report(
-    runs: Sequence[Splitting], seen: Sequence[Sequence[Case | None]], distinct: Sequence[Case], brute: Sequence[Case]
+    runs: Sequence[Splitting],
+    seen: Sequence[Sequence[Case | None]],
+    distinct: Sequence[Case],
+    brute: Sequence[Case],
+    population: int,
 ) -> dict[str, Any]:
     """Plain types: the estimates of defeats and of failed tasks, and what they cost.
 
     Of failed tasks None where the runs end before. `runs`: the pilot first, which only the costs count; `seen`: of each
-    run the case of each evaluation; `distinct`: each of them once; `brute`: of brute force.
+    run the case of each evaluation; `distinct`: each of them once; `brute`: of brute force;
+    `population`: episodes with which each run began.
     """
     repetitions, smallest = runs[1:], [run.smallest for run in runs[1:]]
-    switching = of_repetitions([run.estimate for run in repetitions], smallest)
+    drawn = sum(case is not None for cases in seen[1:] for case in cases[:population])
+    switching = of_repetitions([run.estimate for run in repetitions], smallest, drawn)
     judged = all(case.task_done is not None for case in distinct)
-    task = of_repetitions(_shares(repetitions, seen[1:], _task_failed), smallest) if judged else None
+    task = of_repetitions(_shares(repetitions, seen[1:], _task_failed), smallest, drawn) if judged else None
     by_failure = dict[str, dict[str, Any]]()
     # A false switch, for one, comes before the disturbance, which has no part in it.
     for failure in sorted({str(case.failure) for case in distinct if case.level >= DEFEATED}):
         shares = _shares(repetitions, seen[1:], partial(_failed_as, failure))
-        by_failure[failure] = of_repetitions(shares, smallest).plain()
+        by_failure[failure] = of_repetitions(shares, smallest, drawn).plain()
     found = switching.plain() | {
         "episodes": len(distinct),
         "evaluations": sum(run.evaluations for run in runs),

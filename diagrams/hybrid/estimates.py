@@ -27,7 +27,7 @@ class Estimate:
         return {"estimate": self.value, "interval": [self.low, self.high]}
 
 
-def of_repetitions(estimates: Sequence[float], smallest: Sequence[float]) -> Estimate:
+def of_repetitions(estimates: Sequence[float], smallest: Sequence[float], drawn: int) -> Estimate:
     """The mean of independent `estimates` of one probability, and the interval of a log-normal mean.
 
     With mean m and variance v of their R logarithms: exp(m + v / 2 -+ t sqrt(v / R + v^2 / (2 (R - 1)))), t of
@@ -36,7 +36,9 @@ def of_repetitions(estimates: Sequence[float], smallest: Sequence[float]) -> Est
     log-normal: Cerou et al. 2012, see splitting.py.
 
     `smallest`: of each, what one point alone would have given. Where an estimate is 0 it stands for the estimate in the
-    upper end, and the lower end is 0. Raises InputError for fewer than 2.
+    upper end, and the lower end is 0. Where all are 0 nothing is known of how they scatter: all that is left is that of
+    the `drawn` independent points with which they began none was one, see `of_count`. Raises InputError for fewer than
+    2 estimates.
     """
     from scipy.stats import t
 
@@ -44,6 +46,8 @@ def of_repetitions(estimates: Sequence[float], smallest: Sequence[float]) -> Est
     if count < 2:
         raise InputError(f"{count} repetition has no spread: choose --repetitions 2 or more")
     values = np.asarray(estimates, float)
+    if not values.any():
+        return of_count(0, drawn)
     logs = np.log(np.where(values > 0.0, values, smallest))
     mean, variance = float(logs.mean()), float(logs.var(ddof=1))
     error = np.sqrt(variance / count + variance**2 / (2 * (count - 1)))

@@ -192,7 +192,7 @@ def text(summary: Mapping[str, Any]) -> str:
     for cell in everything:
         values = "".join(f"{'-' if cell[name] is None else _number(cell[name]['value']):>9s}" for name in COLUMNS)
         lines.append(f"{cell['detector']:{width}s}{cell['recovery']:10s}{cell['n']:6d}{values}")
-    tasks = {(cell["detector"], cell["recovery"]): _with_interval(cell["tasks"]) for cell in everything}
+    tasks = {(cell["detector"], cell["recovery"]): with_interval(cell["tasks"]) for cell in everything}
     lines += ["", f"{'tasks done':{width}s}" + "".join(f"{name:>21s}" for name in recoveries)]
     for detector in detectors:
         lines.append(f"{detector:{width}s}" + "".join(f"{tasks[detector, name]:>21s}" for name in recoveries))
@@ -215,7 +215,8 @@ def _number(value: float) -> str:
     return f"{value:.2f}" if abs(value) < 100.0 else f"{value:.0f}"
 
 
-def _with_interval(entry: dict[str, Any] | None) -> str:
+def with_interval(entry: dict[str, Any] | None) -> str:
+    """An entry of a cell in words."""
     if entry is None:
         return "-"
     low, high = map(_number, entry["interval"])

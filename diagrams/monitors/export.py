@@ -21,7 +21,7 @@ from diagrams.monitors.bench_plan import NEVER
 from diagrams.monitors.bench_task import BenchTask, all_ratios, job_of
 from diagrams.monitors.replays import tasks_of
 from diagrams.monitors.tapes import TapedRun, taped_and_recorded
-from diagrams.monitors.traces import SHOWN, TRACE, of_run
+from diagrams.monitors.traces import kept_trace, require_same_run
 from diagrams.world.faults.registry import kind_label, require_kind
 from models.checks import require_numbers, require_plain
 from models.command_line import require
@@ -140,11 +140,7 @@ def record_run(bench: Path, job: ExportJob) -> RecordedRun:
 
     task, to_run = job.task, job_of(bench / NETWORKS, job.task)
     pictures, (run, record) = _seen(to_run)
-    trace = bench / SHOWN / f"{task.key}{TRACE}"
-    if not trace.is_file():
-        raise InputError(f"there is no {trace}: the bench's own command makes it again")
-    if not of_run(trace.read_bytes(), record):
-        raise InputError(f"{task.key} runs otherwise now than in {bench}: take the version of the program that made it")
+    require_same_run(kept_trace(bench, task.key), record, bench, task.key)
     policy = to_run.controller.load()
     tape, outcome, ticks = run.tape, run.outcome, len(record.time)
     scores = {"": record.errors.max(axis=1)}

@@ -10,6 +10,7 @@ from pydrake.systems.framework import System
 
 from diagrams.episodes.calibration import UNCALIBRATED
 from diagrams.episodes.thresholds import Conformal, conformal
+from diagrams.monitors.bench_table import with_interval
 from diagrams.monitors.metrics import Monitored, measured
 from diagrams.monitors.scoring import Score, largest_before
 from diagrams.monitors.tapes import replay
@@ -159,9 +160,14 @@ class Offline:
         widths = [(motion.states.shape[1], motion.actions.shape[1]) for motion in found]
         for motion, width in zip(found, widths, strict=True):
             if width != widths[0]:
-                raise InputError(f"{motion.name} has states and actions of {width} components, others {widths[0]}")
+                raise InputError(
+                    f"{motion.name} has states and actions of {width} components, others {widths[0]}: "
+                    "give runs of one arm"
+                )
             if len(motion.states) < WINDOW:
-                raise InputError(f"{motion.name} has {len(motion.states)} ticks: {WINDOW} or more are needed")
+                raise InputError(
+                    f"{motion.name} has {len(motion.states)} ticks: leave it out, {WINDOW} or more are needed"
+                )
         return found
 
     def _period(self, motions: list[Motion]) -> float:
@@ -225,14 +231,8 @@ def _text(result: dict[str, Any]) -> str:
     lines = [", ".join(f"{use} {count}" for use, count in result["runs"].items())]
     lines.append(f"{'detector':{width}s}" + "".join(f"{name:>22s}" for name in FIELDS))
     for entry in found:
-        words = []
-        for name in FIELDS:
-            if (value := entry[name]) is None:
-                words.append("-")
-            else:
-                low, high = value["interval"]
-                words.append(f"{value['value']:.2f} [{low:.2f}, {high:.2f}]")
-        lines.append(f"{entry['detector']:{width}s}" + "".join(f"{word:>22s}" for word in words))
+        words = "".join(f"{with_interval(entry[name]):>22s}" for name in FIELDS)
+        lines.append(f"{entry['detector']:{width}s}{words}")
     for reason in dict.fromkeys(result["left_out"].values()):
         names = ", ".join(name for name, why in result["left_out"].items() if why == reason)
         lines.append(f"left out, {reason}: {names}")

@@ -15,7 +15,7 @@ from diagrams.monitors.bench_fit import NETWORKS, TOLD
 from diagrams.monitors.bench_plan import BenchArguments, Network, in_loop, switched_off
 from diagrams.monitors.bench_task import BenchTask, Scored, job_of
 from diagrams.monitors.fitting import BETA
-from diagrams.monitors.traces import PICTURES, SHOWN, TRACE, of_run, pictures_file
+from diagrams.monitors.traces import PICTURES, SHOWN, kept_trace, pictures_file, require_same_run
 from diagrams.world.scenario import load_world
 from models.checks import require_plain
 from models.errors import InputError
@@ -30,9 +30,7 @@ def make_replay(folder: Path, key: str) -> int:
     from tqdm import tqdm
 
     task = _task(folder, key)
-    trace = folder / SHOWN / f"{key}{TRACE}"
-    if not trace.is_file():
-        raise InputError(f"there is no {trace}: the bench's own command makes it again")
+    script = kept_trace(folder, key)
     job = dataclasses.replace(job_of(folder / NETWORKS, task), picture_every=PICTURE_EVERY)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address
     from diagrams.browser.scene import open_scene
@@ -46,8 +44,7 @@ def make_replay(folder: Path, key: str) -> int:
         _, record = rollout.run(
             episode, on_tick=lambda _: bar.update(), picture_every=job.picture_every, calibration=calibration
         )
-    if not of_run(trace.read_bytes(), record):
-        raise InputError(f"{key} runs otherwise now than in {folder}: take the version of the program that made it")
+    require_same_run(script, record, folder, key)
     meshcat.StopRecording()
     meshcat.PublishRecording()
     replay, pictures = (folder / SHOWN / f"{key}{suffix}" for suffix in (".html", PICTURES))

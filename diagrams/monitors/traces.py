@@ -3,12 +3,14 @@
 import io
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from diagrams.episodes.record import PICTURE_EVERY, Record, record_hash
+from models.errors import InputError
 
 SHOWN = "explorer"  # folder in --out; entry of a row that is no part of it: the files there, by suffix
 TRACE, PICTURES = ".js", ".webp"  # suffixes of these, after the episode's key
@@ -42,9 +44,18 @@ def run_hash(record: Record) -> str:
     return record_hash(record)[:16]
 
 
-def of_run(script: bytes, record: Record) -> bool:
-    """Whether that `trace_script` is of this run."""
-    return f'"hash":"{run_hash(record)}"'.encode() in script
+def kept_trace(bench: Path, key: str) -> bytes:
+    """The `trace_script` of the episode `key` in the folder `bench`; raises InputError where there is none."""
+    path = bench / SHOWN / f"{key}{TRACE}"
+    if not path.is_file():
+        raise InputError(f"there is no {path}: the bench's own command makes it again")
+    return path.read_bytes()
+
+
+def require_same_run(script: bytes, record: Record, bench: Path, key: str) -> None:
+    """Raises InputError where the `script` of the episode `key` in `bench` is not of this run, to the bit."""
+    if f'"hash":"{run_hash(record)}"'.encode() not in script:
+        raise InputError(f"{key} runs otherwise now than in {bench}: take the version of the program that made it")
 
 
 def spans(active: Sequence[bool]) -> list[list[int]]:

@@ -42,7 +42,7 @@ def test_report_by_hand():
     cases = [WITHSTOOD, LOST, TOPPLED, None]
     runs = [run(0.9, []), run(0.02, [(0, 0.9), (1, 0.02), (2, 0.08)]), run(0.02, [(0, 0.8), (1, 0.02), (2, 0.18)])]
     brute = [LOST, *[case(10 + i) for i in range(99)]]
-    found = defeat.report(runs, [cases] * 3, [WITHSTOOD, LOST, TOPPLED], brute)
+    found = defeat.report(runs, [cases] * 3, [WITHSTOOD, LOST, TOPPLED], brute, 4)
     assert found["estimate"] == pytest.approx(0.02)  # the pilot's is not used
     assert found["task"]["estimate"] == pytest.approx(0.15)
     assert (found["episodes"], found["evaluations"], found["defeats_found"]) == (3, 12, 1)
@@ -53,8 +53,8 @@ def test_report_by_hand():
     assert found["brute"]["estimate"] == 0.01
     assert (found["overlap"], found["brute"]["task"]["estimate"]) == (True, 0.01)
     assert len(found["repetitions"]) == 2
-    assert defeat.report(runs, [cases] * 3, [LOST], [LOST] * 50)["overlap"] is False
-    assert defeat.report(runs, [cases] * 3, [LOST], [])["overlap"] is None
+    assert defeat.report(runs, [cases] * 3, [LOST], [LOST] * 50, 4)["overlap"] is False
+    assert defeat.report(runs, [cases] * 3, [LOST], [], 4)["overlap"] is None
     text = defeat.words("B", found)
     assert "2.00e-02" in text
     assert "25% of their ticks saved" in text
@@ -65,7 +65,7 @@ def test_report_by_hand():
 def test_report_of_runs_that_end_with_the_resumption():
     """Their tasks are not judged, and false alarms that they had count nowhere."""
     cases = [replace(c, task_done=None) for c in (LOST, replace(WITHSTOOD, failure="switched again"))]
-    found = defeat.report([run(0.02, [(0, 0.02), (1, 0.98)])] * 3, [cases] * 3, cases, cases * 50)
+    found = defeat.report([run(0.02, [(0, 0.02), (1, 0.98)])] * 3, [cases] * 3, cases, cases * 50, 2)
     assert (found["task"], found["brute"]["task"], list(found["by_failure"])) == (None, None, ["not resumed"])
     assert found["brute"]["estimate"] == 0.5
     assert "task" not in defeat.words("A", found)

@@ -42,7 +42,7 @@ def runs(levels, target, seed, count, population, **options):
 
 
 def estimate_of(found):
-    return of_repetitions([r.estimate for r in found], [r.smallest for r in found])
+    return of_repetitions([r.estimate for r in found], [r.smallest for r in found], 1)
 
 
 def within_errors(found, probability):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from diagrams.monitors.traces import LEAST, of_run, pictures_file, spans, trace_script
+from diagrams.monitors.traces import LEAST, kept_trace, pictures_file, require_same_run, spans, trace_script
+from models.errors import InputError
 from tests.diagrams.bench_fakes import shown
 
 
@@ -24,7 +25,7 @@ def test_spans(active, found):
     assert spans(active) == found
 
 
-def test_a_script_calls_the_page_with_rounded_numbers():
+def test_a_script_calls_the_page_with_rounded_numbers(tmp_path):
     record, acting = shown(60, True)
     scores = {"recall": np.r_[0.0, 1234.5678, np.full(58, 0.12345)]}
     script = trace_script("off-lstm-0-A-1", record, acting, scores, np.full(60, 2.0 / 3.0))
@@ -35,9 +36,12 @@ def test_a_script_calls_the_page_with_rounded_numbers():
     assert trace["alpha"] == [0.667] * 60
     assert (trace["ticks"], trace["acting"]) == (60, [[20, 60]])
     assert trace["pictures"] == {"count": 12, "columns": 10, "every": 5}
-    assert of_run(script, record)
+    require_same_run(script, record, tmp_path, "KEY")
     record.alpha[3] = 1e-9
-    assert not of_run(script, record)
+    with pytest.raises(InputError, match="KEY runs otherwise now than in "):
+        require_same_run(script, record, tmp_path, "KEY")
+    with pytest.raises(InputError, match=r"there is no .*KEY\.js: the bench's own command"):
+        kept_trace(tmp_path, "KEY")
 
 
 def test_pictures_stand_line_by_line():
