@@ -160,9 +160,14 @@ class Offline:
         widths = [(motion.states.shape[1], motion.actions.shape[1]) for motion in found]
         for motion, width in zip(found, widths, strict=True):
             if width != widths[0]:
-                raise InputError(f"{motion.name} has states and actions of {width} components, others {widths[0]}")
+                raise InputError(
+                    f"{motion.name} has states and actions of {width} components, others {widths[0]}: "
+                    "give runs of one arm"
+                )
             if len(motion.states) < WINDOW:
-                raise InputError(f"{motion.name} has {len(motion.states)} ticks: {WINDOW} or more are needed")
+                raise InputError(
+                    f"{motion.name} has {len(motion.states)} ticks: leave it out, {WINDOW} or more are needed"
+                )
         return found
 
     def _period(self, motions: list[Motion]) -> float:

@@ -20,9 +20,9 @@ def memory_of_this_process(monkeypatch):
 
 
 def test_a_slice_is_answered_well(tmp_path):
-    asked = [sys.executable, str(FUZZ), "--seed", "1", "--count", "44", "--out", str(tmp_path)]
+    asked = [sys.executable, str(FUZZ), "--seed", "1", "--count", "48", "--out", str(tmp_path)]
     done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1:] == ["44 of 44 answered well"], done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1:] == ["48 of 48 answered well"], done.stdout + done.stderr
     assert done.returncode == 0
 
 

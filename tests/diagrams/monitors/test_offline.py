@@ -154,7 +154,10 @@ def test_bad_data_are_named(tmp_path):
             del file[f"data/demo_{i}"]
     with pytest.raises(InputError, match="7 of the runs did their task: 8 or more"):
         offline("--data", few, *given)
-    with pytest.raises(InputError, match=r"seven.hdf5/demo_0 has states and actions of \(3, 7\) components"):
+    with pytest.raises(
+        InputError,
+        match=r"seven.hdf5/demo_0 has states and actions of \(3, 7\) components, others .*: give runs of one arm",
+    ):
         offline("--data", few, other, *given)
     with h5py.File(few, "r+") as file:
         file["data/demo_0/obs/rest"][3] = np.nan
