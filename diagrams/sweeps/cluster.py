@@ -1,5 +1,6 @@
 """A Dask cluster with the face of the pool of this machine (diagrams/episodes/pool.py)."""
 
+import asyncio
 import functools
 import hashlib
 import logging
@@ -17,6 +18,7 @@ from typing import Any, Self, TypeVar
 
 from distributed import Client, Future, KilledWorker, Security, WorkerPlugin, as_completed, get_worker
 from distributed import Worker as DaskWorker
+from distributed.core import connect
 from distributed.versions import VersionMismatchWarning
 from tqdm import tqdm
 
@@ -53,6 +55,16 @@ class WeightFiles(WorkerPlugin):
 
 def _folder(worker: DaskWorker, bundle: str) -> Path:
     return Path(worker.local_directory) / f"weights-{bundle[:16]}"
+
+
+async def _require_answer(scheduler: str, patience: float, security: Security | None) -> None:
+    """Raises OSError where nobody answers for `patience` seconds; Client waits for the first answer without end."""
+    secure = {} if security is None else security.get_connection_args("client")
+    try:
+        comm = await asyncio.wait_for(connect(scheduler, timeout=patience, **secure), patience + 1.0)
+    except TimeoutError as error:
+        raise OSError(f"no answer for {patience:.0f} s") from error
+    comm.abort()
 
 
 class Unfit(RuntimeError):
@@ -110,6 +122,7 @@ class DaskPool:
 
     def _connect(self, patience: float) -> None:
         try:
+            asyncio.run(_require_answer(self._scheduler, patience, self._security))
             self._client = Client(self._scheduler, timeout=patience, security=self._security)
         except (OSError, ValueError) as error:
             remedy = "check the address" if self._security is None else "check the address, and who signed --tls-cert"

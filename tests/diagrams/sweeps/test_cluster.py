@@ -1,6 +1,7 @@
 """A Dask cluster with the pool's face: files reach its workers, dead ones are replaced."""
 
 import itertools
+import socket
 import threading
 from functools import partial
 from pathlib import Path
@@ -125,6 +126,14 @@ def test_results_that_died_with_their_worker_are_waited_for(monkeypatch):
     pool = DaskPool("nowhere", {})
     # What was cancelled was lost with the scheduler: it is asked for again.
     assert list(pool.run(None, "abc")) == [("c", 2), ("a", 0), ("b", 1)]
+
+
+def test_what_accepts_and_never_answers_is_no_scheduler(monkeypatch):
+    monkeypatch.setattr(cluster_module, "PATIENCE", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(InputError, match=f"no Dask scheduler at {address} .*: check the address"):
+            DaskPool(address, {})
 
 
 def test_no_scheduler():
