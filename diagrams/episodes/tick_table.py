@@ -15,6 +15,11 @@ CALLED = {
     ("systems/image_encoder.py", "encode"): "encoding",
     ("systems/recurrent_policy.py", "step"): "network",
 }
+# The profiler does not see the functions of newer Drakes (1.58): their time is that of the function that calls them.
+OWN = {
+    ("systems/image_encoder.py", "_calc_features"): "rendering",
+    ("diagrams/episodes/rollout.py", "advance"): PLANT,
+}
 # The last three: detector, mixing, regulator; physics, Drake's framework, the 3-D recording; scoring, record, words.
 PARTS = (*dict.fromkeys(CALLED.values()), CONTROLLER, PLANT, REST)
 
@@ -29,6 +34,8 @@ def tick_times(profiler: cProfile.Profile, ticks: int) -> dict[str, float]:
             return called
         if name == "AdvanceTo":
             return PLANT
+        if (own := OWN.get((file, name))) is not None:
+            return own
         if file.startswith(("systems/", "diagrams/")):
             return CONTROLLER if file.startswith("systems/") else REST
         # Of a library, or of the networks: the part of who asked for it, and most for it.
