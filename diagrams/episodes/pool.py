@@ -93,7 +93,7 @@ class Pool:
                 for future in finished:
                     worker, job, attempt = running.pop(future)
                     died = isinstance(future.exception(), BrokenProcessPool)
-                    self._idle.put(_worker() if died else self._after_job(worker))
+                    self._idle.put(self._after_job(worker, died))
                     if not died:
                         yield job, future.result()
                     elif attempt < ATTEMPTS:
@@ -128,13 +128,14 @@ class Pool:
         except Empty:
             return None
 
-    def _after_job(self, worker: ProcessPoolExecutor) -> ProcessPoolExecutor:
+    def _after_job(self, worker: ProcessPoolExecutor, died: bool) -> ProcessPoolExecutor:
         """`worker`, which has run one more, or a fresh one in its place."""
         self._ran[worker] += 1
-        if self._ran[worker] < JOBS_A_WORKER:
+        if not died and self._ran[worker] < JOBS_A_WORKER:
             return worker
         del self._ran[worker]
-        worker.shutdown()
+        if not died:
+            worker.shutdown()
         return _worker()
 
 

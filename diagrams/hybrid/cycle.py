@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from diagrams.episodes.store import FIRST
+from diagrams.hybrid import cycle_sweep as sweep
 from diagrams.hybrid.common import Arguments, fingerprint_with_analyses
 from diagrams.hybrid.cycle_reports import require_counts, require_reports, require_rows
 from diagrams.hybrid.return_proof import bound, holds
@@ -23,7 +23,6 @@ from diagrams.world.names import CANS
 from models.checks import require_plain
 from models.errors import InputError
 
-EPISODES, ROWS = "episodes.parquet", "rows.jsonl"  # of a sweep
 KINDS = "none", "A", "B"  # of disturbances
 FORETOLD = "way_home", "resumption"  # arrows that the sweep is compared with
 LARGEST_REPORT = 100_000_000  # bytes
@@ -52,9 +51,10 @@ class Cycle(Arguments):
         returned, resumed = self._read("return"), self._read("resume")
         codes = require_one_world({
             "the world": fingerprint_with_analyses(self.loaded_world()), "return": returned.get("fingerprint"),
-            "resume": resumed.get("fingerprint"), "the sweep": self._fingerprint(),
+            "resume": resumed.get("fingerprint"), "the sweep": sweep.fingerprint(self.sweep),
         })  # fmt: skip
-        found = report(returned, resumed, self._rows()) | {"sweep": str(self.sweep), "codes": codes}
+        sweep.require_drawn(self.sweep)
+        found = report(returned, resumed, sweep.episodes(self.sweep)) | {"sweep": str(self.sweep), "codes": codes}
         self.write(found)
         save_cycle(found, self.out / "cycle.png")
         print(table(found))
@@ -80,42 +80,6 @@ class Cycle(Arguments):
         if seed != self.seed:
             raise InputError(f"{path} is of the seed {seed}: give that as --seed, here {self.seed}")
         return report
-
-    def _fingerprint(self) -> dict[str, Any]:
-        """Of the sweep."""
-        path = self.sweep / ROWS
-        try:
-            require_plain(path)
-            with path.open("rb") as file:
-                line = file.readline(LARGEST_REPORT)
-            if not line.startswith(FIRST):
-                raise ValueError("no fingerprint")
-            return dict(json.loads(line)["fingerprint"])
-        except (OSError, RecursionError, TypeError, ValueError) as error:
-            raise InputError(f"{path} is no sweep's: give the folder of a finished one with --sweep") from error
-
-    def _rows(self) -> list[dict[str, Any]]:
-        """The sweep's episodes, without what is missing in them."""
-        from models.command_line import require
-
-        require("pandas", "pyarrow", "scipy")
-        import pandas as pd
-
-        path = self.sweep / EPISODES
-        if not path.is_file():
-            raise InputError(f"there is no {path}: give the folder of a finished sweep with --sweep")
-        try:
-            frame = pd.read_parquet(path)
-        except Exception as error:  # pyarrow has a dozen, of strange bytes
-            raise InputError(f"{path} cannot be read: run the sweep's command again, it makes it anew") from error
-        return [
-            {
-                str(name): None if pd.isna(value) else value
-                for name, value in row.items()
-                if pd.api.types.is_scalar(value)
-            }
-            for row in frame.to_dict("records")
-        ]
 
 
 def require_one_world(fingerprints: dict[str, dict[str, Any] | None]) -> dict[str, dict[str, Any]]:
@@ -162,7 +126,8 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
         raise InputError(f"{errors} episodes of the sweep raised an error: run it with --retry-errors")
     ours = [row for row in ours if not row["void"]]
     undisturbed = [row for row in ours if row["disturbance"] == "none"]
-    disturbed = [row for row in ours if row["disturbance"] in ("A", "B") and not row["false_switches"]]
+    taken = [row for row in ours if row["disturbance"] in ("A", "B")]
+    disturbed = [row for row in taken if not row["false_switches"]]
     if lacking := [kind for kind in KINDS if all(row["disturbance"] != kind for row in undisturbed + disturbed)]:
         raise InputError(
             f"the sweep has no episodes under {', '.join(lacking)} of the network that `resume` looked at: run "
@@ -180,6 +145,7 @@ def report(returned: dict[str, Any], resumed: dict[str, Any], rows: Sequence[dic
         "policy": resumed["policy"],
         "encoder_hash": resumed["encoder_hash"],
         "certificate_holds": certificate_holds,
+        "switched_before": len(taken) - len(disturbed),  # disturbed runs that no arrow counts
         "rule": resumed["rule"],
         "arrows": arrows,
         # Where the most was seen to fail; of equals, the one that is known least.
@@ -328,6 +294,8 @@ def table(found: dict[str, Any]) -> str:
         if found[name]["p"] is not None:
             line += f", p {found[name]['p']:.2g}" + ("" if found[name]["agrees"] else ": more often than foretold")
         lines.append(line)
+    if left_out := found["switched_before"]:
+        lines.append(f"left out: {left_out} disturbed runs with a false switch before the disturbance")
     if not found["certificate_holds"]:
         lines.append(
             "the certificate of `return` does not hold: its report says which way home fails or touches something"

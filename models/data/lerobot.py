@@ -129,13 +129,8 @@ class LeRobotFolder(AbstractContextManager):
             try:
                 table = pq.read_table(path)
                 notes = json.loads(table.schema.metadata[b"hindsight"])
-            except (
-                OSError,
-                KeyError,
-                RecursionError,
-                TypeError,
-                ValueError,
-            ) as error:  # pyarrow's errors are among these
+            # pyarrow's errors are among these
+            except (OSError, KeyError, RecursionError, TypeError, ValueError) as error:
                 words = " ".join(str(error).split())
                 raise InputError(f"{path} is damaged ({words}): delete it, and record once more") from error
             own, length = np.array(notes.pop("counts")), table.num_rows

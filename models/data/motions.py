@@ -130,14 +130,7 @@ def _of_lerobot(path: Path, states: Sequence[str]) -> Iterator[Motion]:
             yield Motion(name, np.hstack(arrays[:-1]), arrays[-1], None if done is None else bool(done), period)
     except InputError:
         raise
-    except (
-        OSError,
-        KeyError,
-        RecursionError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        ZeroDivisionError,
-    ) as error:  # pyarrow's too
+    # pyarrow's errors are among these
+    except (OSError, KeyError, RecursionError, TypeError, ValueError, AttributeError, ZeroDivisionError) as error:
         words = " ".join(str(error).split())[:200]
         raise InputError(f"{path} is no LeRobotDataset, or a damaged one ({words}): give another --data") from error

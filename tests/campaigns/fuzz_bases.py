@@ -16,6 +16,7 @@ from diagrams.episodes.episode import Outcome
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.record import save_record
 from diagrams.episodes.store import RowStore
+from diagrams.hybrid.cycle_sweep import DRAWN
 from diagrams.monitors import export
 from diagrams.sweeps.plan import plan
 from diagrams.sweeps.table import write_table
@@ -202,6 +203,7 @@ def _reports(folder: Path) -> dict[str, bytes]:
     with RowStore(out / "rows.jsonl", own):
         pass
     pd.DataFrame([{"can_xy": [0.5, 0.0]} | one for one in CALM]).to_parquet(out / "episodes.parquet")
+    (out / "summary.json").write_text(json.dumps({"arguments": DRAWN}))
     reports = {"out/return.json": RETURNED, "out/resume.json": RESUMED}
     found = {name: json.dumps(content | {"fingerprint": own}).encode() for name, content in reports.items()}
     return found | {f"sweep/{path.name}": path.read_bytes() for path in out.iterdir()}

@@ -36,8 +36,9 @@ from diagrams.episodes.store import RowStore  # noqa: E402
 from models.command_line import run as run_program  # noqa: E402
 from models.interrupts import ENDED  # noqa: E402
 from tests.campaigns import fakes  # noqa: E402
+from tests.campaigns.givens import prepare  # noqa: E402
 from tests.campaigns.processes import Ended, Forked, run, until  # noqa: E402
-from tests.campaigns.targets import TARGETS, prepare  # noqa: E402
+from tests.campaigns.targets import TARGETS  # noqa: E402
 
 Case = tuple[str, str, int]  # program, what befalls it, number
 ENDS = {"int": (signal.SIGINT, 130), "term": (signal.SIGTERM, 143)}

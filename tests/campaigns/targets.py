@@ -118,7 +118,7 @@ def training(*command: str) -> Target:
 # Episodes.
 
 
-def _swap(module: str, **made_up: Any) -> None:
+def swap(module: str, **made_up: Any) -> None:
     import importlib
 
     for name, value in made_up.items():
@@ -155,7 +155,7 @@ def _in_hdf5(out: Path) -> int:
         return len(file["data"])
 
 
-def _weights(given: Path) -> list[str]:
+def weights_of(given: Path) -> list[str]:
     return ["--weights", f"{given}/weights"]
 
 
@@ -190,22 +190,22 @@ def _patch_falsification() -> None:
     from diagrams.hybrid.perturbations import NominalRun
     from diagrams.world.configuration import World
 
-    _swap("diagrams.hybrid.falsification", run_episode=fakes.run_episode)
+    swap("diagrams.hybrid.falsification", run_episode=fakes.run_episode)
     home = World().initial_posture[:7]
     NominalRun.command_at = lambda self, subtask, level: home  # type: ignore[method-assign]
 
 
 def _patch_return() -> None:
-    _swap("diagrams.hybrid.return_samples", run_draw=fakes.run_draw)
-    _swap("diagrams.hybrid.return_trajectories", run_job=fakes.run_way_home)
+    swap("diagrams.hybrid.return_samples", run_draw=fakes.run_draw)
+    swap("diagrams.hybrid.return_trajectories", run_job=fakes.run_way_home)
     least = {"box": 10, "draws": 4}
-    _swap("diagrams.hybrid.return_certificate", LEAST_CALIBRATION=least, measured_delay_margin=lambda *_: 15)
+    swap("diagrams.hybrid.return_certificate", LEAST_CALIBRATION=least, measured_delay_margin=lambda *_: 15)
 
 
 def _patch_bench() -> None:
     from diagrams.monitors.bench_fit import Fitted
 
-    _swap("diagrams.bench", run_bench_task=fakes.run_bench_task)
+    swap("diagrams.bench", run_bench_task=fakes.run_bench_task)
     fit = Fitted._fit
 
     def noted(self, label, *runs):
@@ -270,13 +270,13 @@ TARGETS: dict[str, Target] = {
     ),
     "teach": Target(
         "diagrams.teach", lambda given, out: ["--out", f"{out}/y.h5", "--limit", "12", "--workers", "2"], _in_hdf5,
-        lambda: _swap("diagrams.teach", demonstrate=fakes.demonstrate), lambda out: _demonstrations(out / "y.h5"),
+        lambda: swap("diagrams.teach", demonstrate=fakes.demonstrate), lambda out: _demonstrations(out / "y.h5"),
     ),
     "teach-lerobot": Target(
         "diagrams.teach",
         lambda given, out: ["--out", f"{out}/y", "--limit", "8", "--workers", "2", "--format", "lerobot"],
         lambda out: len([*(out / "y" / "data").rglob("file-???.parquet")]),
-        lambda: _swap("diagrams.teach", demonstrate=fakes.demonstrate),
+        lambda: swap("diagrams.teach", demonstrate=fakes.demonstrate),
     ),
     "cae": training("cae", "--max-images", "32", "--precision", "float32"),
     "rnn": training("rnn", "--rnn", "tests.models.outside:Elman", "--encoder", "{given}/encoder.onnx", "--steps", "8",
@@ -290,29 +290,29 @@ TARGETS: dict[str, Target] = {
             "--encoder", f"{given}/weights/encoder.onnx", "--episodes", "4", "--runs", "12", "--disturbed", "4",
         ],
         rows_of("kept/lstm.jsonl"),
-        lambda: _swap("diagrams.episodes.validation", run_validation=fakes.run_validation), _calibrate_left,
+        lambda: swap("diagrams.episodes.validation", run_validation=fakes.run_validation), _calibrate_left,
     ),
     "baselines": Target(
         "diagrams.baselines", _begin_baselines, _calibrated,
-        lambda: _swap("diagrams.episodes.validation", run_validation=fakes.run_validation),
+        lambda: swap("diagrams.episodes.validation", run_validation=fakes.run_validation),
     ),
     "sweep": Target(
         "diagrams.sweep",
-        lambda given, out: [*_weights(given), "--out", str(out), "--episodes", "8", "--disturbance", "none", "A",
+        lambda given, out: [*weights_of(given), "--out", str(out), "--episodes", "8", "--disturbance", "none", "A",
                             "--workers", "2"],
-        rows_of("rows.jsonl"), lambda: _swap("diagrams.sweep", run_task=fakes.run_task), _without_times,
+        rows_of("rows.jsonl"), lambda: swap("diagrams.sweep", run_task=fakes.run_task), _without_times,
     ),
     "sweep-blocked": Target(
         "diagrams.sweep",
-        lambda given, out: [*_weights(given), "--out", str(out), "--episodes", "40", "--disturbance", "A", "--workers",
-                            "2", "--way-home", "blocked"],
+        lambda given, out: [*weights_of(given), "--out", str(out), "--episodes", "40", "--disturbance", "A",
+                            "--workers", "2", "--way-home", "blocked"],
         lambda out: rows_of("rows.jsonl")(out) + rows_of("blocked.jsonl")(out),
-        lambda: (_swap("diagrams.sweep", run_task=fakes.run_task),
-                 _swap("diagrams.sweeps.blocked", _blocked=fakes.blocked)), _without_times,
+        lambda: (swap("diagrams.sweep", run_task=fakes.run_task),
+                 swap("diagrams.sweeps.blocked", _blocked=fakes.blocked)), _without_times,
     ),
     "falsify": Target(
         "diagrams.analysis",
-        lambda given, out: ["falsify", "--out", str(out), *_weights(given), "--trials", "4", "--scenes", "1"],
+        lambda given, out: ["falsify", "--out", str(out), *weights_of(given), "--trials", "4", "--scenes", "1"],
         rows_of("falsify_trials.jsonl"), _patch_falsification, volatile=("falsify_trials.jsonl",),
     ),
     "return": Target(
@@ -321,22 +321,22 @@ TARGETS: dict[str, Target] = {
     ),
     "resume": Target(
         "diagrams.analysis",
-        lambda given, out: ["resume", "--out", str(out), *_weights(given), "--starts", "40", "--compared", "10",
+        lambda given, out: ["resume", "--out", str(out), *weights_of(given), "--starts", "40", "--compared", "10",
                             "--runs", "6"],
         rows_of("resume_starts.jsonl"),
-        lambda: _swap("diagrams.hybrid.resumption", run_scene=fakes.run_scene, run_disturbed=fakes.run_disturbed,
+        lambda: swap("diagrams.hybrid.resumption", run_scene=fakes.run_scene, run_disturbed=fakes.run_disturbed,
                       STARTS_A_SCENE=5),
     ),
     "defeat": Target(
         "diagrams.analysis",
-        lambda given, out: ["defeat", "--out", str(out), *_weights(given), "--kinds", "A", "--population", "6",
+        lambda given, out: ["defeat", "--out", str(out), *weights_of(given), "--kinds", "A", "--population", "6",
                             "--kept", "0.5", "--repetitions", "2"],
-        rows_of("defeat_cases.jsonl"), lambda: _swap("diagrams.hybrid.defeat_cases", run_case=fakes.run_case),
+        rows_of("defeat_cases.jsonl"), lambda: swap("diagrams.hybrid.defeat_cases", run_case=fakes.run_case),
         volatile=("defeat_cases.jsonl",),
     ),
     "bench": Target(
         "diagrams.bench",
-        lambda given, out: [*_weights(given), "--out", str(out), "--detectors", "recall", "knn", "mahalanobis",
+        lambda given, out: [*weights_of(given), "--out", str(out), "--detectors", "recall", "knn", "mahalanobis",
                             "--faults", "A", "payload", "--episodes", "2", "--fit-runs", "4", "--calibration-runs", "3",
                             "--recoveries", "planned", "hold", "--workers", "2"],
         _benched, _patch_bench, volatile=("rows.jsonl",),
@@ -344,47 +344,6 @@ TARGETS: dict[str, Target] = {
     "export": Target(
         "diagrams.bench",
         lambda given, out: ["export", "--bench", f"{given}/bench", "--out", str(out), "--workers", "2"],
-        _exported, lambda: _swap("diagrams.monitors.export", record_run=fakes.record_run), _export_left,
+        _exported, lambda: swap("diagrams.monitors.export", record_run=fakes.record_run), _export_left,
     ),
 }  # fmt: skip
-
-
-def _make_bench(given: Path) -> None:
-    """A finished bench of 12 episodes with the detectors off, for what is made of one."""
-    from diagrams import bench
-    from tests.diagrams.bench_fakes import bench_row
-
-    _swap("diagrams.bench", run_bench_task=bench_row)
-    sizes = ["--episodes", "6", "--fit-runs", "2", "--calibration-runs", "2", "--workers", "0"]
-    asked = [*_weights(given), *sizes, "--detectors", "recall", "--faults", "A", "--out", f"{given}/bench"]
-    if bench.main(bench.parse(asked)):
-        raise RuntimeError("the bench that is exported could not be made")
-
-
-def prepare(given: Path) -> None:
-    """In a process of its own: weights and data that the programs are given."""
-    import numpy as np
-
-    from diagrams.world.configuration import World
-    from models.data.recording import RecordingFile
-    from models.files.graphs import write_graph
-    from models.training.rnn import RnnOptions, train_rnn
-    from tests.diagrams.teacher_fakes import recording
-    from tests.diagrams.untrained import save_untrained
-    from tests.models import handmade, synthetic
-
-    (given / "weights").mkdir(parents=True)
-    save_untrained(given / "weights")
-    synthetic.write(given / "tiny.h5", grid=2, ticks=(48, 52))
-    write_graph(given / "encoder.onnx", handmade.encoder().SerializeToString(), {"kind": "encoder", "metadata": {}})
-    made = dict(data=given / "tiny.h5", encoder=given / "encoder.onnx", features=given / "features.npz", batch_size=4)
-    found = train_rnn(RnnOptions(**made, out=given / "made", rnn="tests.models.outside:Elman", steps=8))  # type: ignore[arg-type]
-    found.rename(given / "rnn-8.onnx")
-    _make_bench(given)
-    home = World().initial_posture
-    with RecordingFile(given / "waving.h5", {"world": {}}, {"initial_posture": home, "period": 0.1}) as file:
-        for index in range(4):
-            rng = np.random.default_rng(index)
-            wave = 0.1 * np.sin(0.1 * np.arange(60)[:, None] * rng.uniform(0.5, 1.5, 8))
-            file.add(recording(index, 60, posture=home + wave + 0.001 * rng.normal(size=(60, 8))))
-        file.finish([f"demo_{index}" for index in range(4)])

@@ -10,6 +10,7 @@ from diagrams import analysis
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.common import fingerprint_with_analyses
 from diagrams.hybrid.cycle import report, require_one_world, table
+from diagrams.hybrid.cycle_sweep import DRAWN
 from models.errors import InputError
 
 PROVEN = {"samples": 50, "failed_or_touched": 0, "failures": 0, "left_box": 0, "touches": 0}
@@ -108,8 +109,16 @@ def test_arrows_by_hand():
     json.dumps(found)
     lines = table(found).splitlines()
     assert [line.split()[-1] for line in lines if "weakest" in line] == ["known"]
-    assert "1 of 11 disturbed runs" in lines[-2]
-    assert "0 of 11 disturbed runs (0 not home, 0 touch something, 0 of these the can to pick" in lines[-3]
+    assert "1 of 11 disturbed runs" in lines[-3]
+    assert "0 of 11 disturbed runs (0 not home, 0 touch something, 0 of these the can to pick" in lines[-4]
+
+
+def test_runs_that_no_arrow_counts_are_told():
+    found = report(RETURNED, RESUMED, ROWS)
+    assert found["switched_before"] == 1
+    assert "left out: 1 disturbed runs with a false switch" in table(found)
+    never = [one for one in ROWS if not one["false_switches"]]
+    assert "left out" not in table(report(RETURNED, RESUMED, never))
 
 
 def test_a_share_that_was_not_foretold_is_told():
@@ -243,6 +252,13 @@ def test_program(tmp_path, capsys, world):
     (tmp_path / "soft.yaml").write_text("regulator: {input_weight: 45.0}\n")
     with pytest.raises(InputError, match=r"the world and return differ in .*regulator"):
         analysis.main(analysis.parse([*asked, "--world", str(tmp_path / "soft.yaml")]))
+    with pytest.raises(InputError, match=r"summary\.json is no sweep's: give the folder"):
+        analysis.main(analysis.parse(asked))
+    for other in ({"purpose": "validation"}, {"way_home": "blocked"}):
+        (tmp_path / "summary.json").write_text(json.dumps({"arguments": DRAWN | other}))
+        with pytest.raises(InputError, match=r"is of --(purpose validation|way-home blocked): give a sweep of"):
+            analysis.main(analysis.parse(asked))
+    (tmp_path / "summary.json").write_text(json.dumps({"arguments": DRAWN}))
     with pytest.raises(InputError, match=r"there is no .*episodes\.parquet: give the folder"):
         analysis.main(analysis.parse(asked))
     (tmp_path / "episodes.parquet").write_text("cut short")
