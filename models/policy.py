@@ -139,7 +139,7 @@ class Policy(ABC):
             done = self.act(seen, np.array(state))
         except Exception as error:
             reason = f"{type(error).__name__}: {error}"
-            raise InputError(f"{self.name}.act raised {reason}, at the posture {seen.posture}: mend it") from error
+            raise InputError(f"{self.name}.act raised {reason}, at the posture {seen.posture}: change it") from error
         features = x[size:] if done.features is None else np.asarray(done.features, float)
         recalled = done.recalled
         wanted = (size,), (self.feature_size,), (self.state_size,), (self.horizon, size) if self.recalls else None

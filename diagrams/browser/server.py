@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import signal
+from concurrent.futures import Future, ThreadPoolExecutor
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
@@ -17,6 +18,22 @@ HOST = "127.0.0.1"
 ENDS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
+class OwnThread(ThreadPoolExecutor):
+    """Does at once, in the thread that asks, what it is asked for.
+
+    Bokeh 3.10 answers a page in threads of its loop's executor, but a Session is one thread's, and so are the
+    contexts of its renderer.
+    """
+
+    def submit(self, fn, /, *args, **kwargs) -> Future:
+        done: Future = Future()
+        try:
+            done.set_result(fn(*args, **kwargs))
+        except BaseException as error:
+            done.set_exception(error)
+        return done
+
+
 def serve(run: Run, port: int, scene_url: str, on_ready) -> None:
     """Serves and runs until Ctrl-C, or another signal of ENDS.
 
@@ -28,6 +45,7 @@ def serve(run: Run, port: int, scene_url: str, on_ready) -> None:
     logging.getLogger("tornado").setLevel(logging.ERROR)
     asyncio.set_event_loop(asyncio.new_event_loop())
     loop = IOLoop.current()
+    asyncio.get_event_loop().set_default_executor(OwnThread())
     application = Application(FunctionHandler(lambda document: _open(document, run, scene_url)))
     try:
         server = Server(
@@ -58,6 +76,8 @@ def serve(run: Run, port: int, scene_url: str, on_ready) -> None:
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)
+        # Bokeh 3.10 fails, with nobody to mind, where a page goes while its server does.
+        logging.getLogger("tornado").setLevel(logging.CRITICAL)
         server.stop()
     if failures:
         raise failures[0]

@@ -183,7 +183,7 @@ def ratios(scored: Scored, policy: Policy, folder: Path, tape: Tape) -> np.ndarr
     errors = replay(detector, tape, policy.scaling.scale(np.asarray(policy.initial_posture, float)))
     found = (errors / np.array(scored.calibration.mean_errors)).max(axis=1)
     if not np.isfinite(found).all():
-        raise InputError(f"the detector '{scored.label}' has errors that are no finite numbers: mend it")
+        raise InputError(f"the detector '{scored.label}' has errors that are no finite numbers: leave it out")
     return found
 
 

@@ -232,4 +232,6 @@ def _digests(path: Path) -> dict[str, str]:
             raise TypeError(f"{found!s:.40} is no table")
         return found
     except (OSError, RecursionError, TypeError, ValueError) as error:
-        raise InputError(f"{path} has no digests ({error}): export to this --out first") from error
+        raise InputError(
+            f"{path}, with which --check compares, has no digests ({error}): export to this --out first"
+        ) from error

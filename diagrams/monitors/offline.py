@@ -180,7 +180,7 @@ class Offline:
         """What each run is for; where no one says what came of it, all did their task."""
         done = [motion for motion in motions if motion.success is not False]
         if len(done) < LEAST:
-            raise InputError(f"{len(done)} of the runs did their task: {LEAST} or more are needed")
+            raise InputError(f"{len(done)} of the runs did their task, {LEAST} or more are needed: add some")
         order = [done[i] for i in np.random.default_rng(self.seed).permutation(len(done))]
         uses, first = dict[str, list[Motion]](), 0
         for use, share in USES.items():

@@ -48,7 +48,7 @@ def kept_trace(bench: Path, key: str) -> bytes:
     """The `trace_script` of the episode `key` in the folder `bench`; raises InputError where there is none."""
     path = bench / SHOWN / f"{key}{TRACE}"
     if not path.is_file():
-        raise InputError(f"there is no {path}: the bench's own command makes it again")
+        raise InputError(f"there is no {path}: run the command of the bench again")
     return path.read_bytes()
 
 

@@ -55,7 +55,7 @@ def read_motions(path: Path, states: Sequence[str] = ()) -> list[Motion]:
         for what, array in (("states", motion.states), ("actions", motion.actions)):
             if array.ndim != 2 or not array.size or len(array) != len(motion.actions) or not np.isfinite(array).all():
                 raise InputError(
-                    f"{motion.name} has {what} {array.shape} that are no finite rows of its ticks: mend it"
+                    f"{motion.name} has {what} {array.shape} that are no finite rows of its ticks: leave it out"
                 )
     return found
 

@@ -126,7 +126,7 @@ def test_bad_input_is_named(made, tmp_path):
     for more, words in (
         (["--faults", "payload"], "has no such run: ask for other --faults"),
         (["--limit", "0"], "--limit 0 is too small"),
-        (["--check", "0.5"], "has no digests .*: export to this --out first"),
+        (["--check", "0.5"], "--check compares, has no digests .*: export to this --out first"),
     ):
         with pytest.raises(InputError, match=words):
             export(made, tmp_path / "none", *more)

@@ -152,7 +152,7 @@ def test_bad_data_are_named(tmp_path):
     with h5py.File(save(few, 6), "r+") as file:
         for i in range(7, DONE):
             del file[f"data/demo_{i}"]
-    with pytest.raises(InputError, match="7 of the runs did their task: 8 or more"):
+    with pytest.raises(InputError, match="7 of the runs did their task, 8 or more are needed: add some"):
         offline("--data", few, *given)
     with pytest.raises(
         InputError,
