@@ -44,7 +44,7 @@ from diagrams.sweeps.cluster_options import ClusterOptions
 from diagrams.sweeps.task import believed
 from diagrams.world.scenario import load_world
 from models.checks import require_plain
-from models.command_line import require, run
+from models.command_line import require, run, say
 from models.errors import InputError
 from models.files.container import write_bytes, write_text
 from systems.recoveries.registry import RECOVERIES
@@ -108,10 +108,8 @@ class Crew:
         networks = self._arguments.out / NETWORKS
         if self._arguments.scheduler is None:
             return self._pool, partial(run_bench_task, networks)
-        from diagrams.sweeps.cluster import DaskPool
-
         files = {path.name: path.read_bytes() for path in sorted(networks.iterdir()) if path.is_file()}
-        cluster = DaskPool(self._arguments.scheduler, files, self._arguments.tls)
+        cluster = self._arguments.cluster(files)
         return cluster, cluster.with_files(run_bench_task)
 
 
@@ -120,8 +118,9 @@ def main(arguments: BenchArguments | Export | Offline | Coverage) -> int:
     if not isinstance(arguments, BenchArguments):
         return arguments.run()
     if arguments.replay is not None:
-        from diagrams.monitors.replays import make_replay
+        from diagrams.monitors.replays import make_replay, of_summary
 
+        arguments.require_replay_of(of_summary(arguments.out, f"--replay {arguments.replay:.80}", lambda made, _: made))
         return make_replay(arguments.out, arguments.replay)
     require("pandas", "pyarrow", "scipy", "sklearn", *(["distributed"] if arguments.scheduler else []))
     from diagrams.monitors.bench_table import TABLE
@@ -134,6 +133,7 @@ def main(arguments: BenchArguments | Export | Offline | Coverage) -> int:
     inside = (path for name in (NETWORKS, TAPES, SHOWN) for path in (out / name).glob("*"))
     for path in (out / TABLE, out / SUMMARY, out / PAGE, *inside):
         require_plain(path, "choose another --out")
+    arguments.require_cluster()
     with RowStore(out / ROWS, fingerprint(world, *ROOMS, **made_with)) as store, Pool(arguments.workers) as pool:
         crew, promises = Crew(arguments, store, pool), dict[str, Any]()
         for key in (key for key in store.rows if isinstance(key, str)):  # nobody asks for another
@@ -204,7 +204,7 @@ def finish(
     write_replays(arguments.out / SHOWN)
     print(text(summary))
     for error in errors:
-        print(error, file=sys.stderr)
+        say(error)
     print(f"written: {path}, {summary_path}, {page}")
     return 1 if errors else 0
 

@@ -21,8 +21,8 @@ from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import Scenario, load_world
-from models.checks import require_one_of
-from models.command_line import require, require_writable, run
+from models.checks import require_one_of, require_plain
+from models.command_line import require, require_writable, run, say
 from models.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ def main(cli: LiveArguments) -> int:
     for name, port in (("port", cli.port), ("meshcat-port", cli.meshcat_port)):
         if port is not None and port not in PORTS:
             raise InputError(f"--{name} {port} is no port that can be had: choose from {PORTS[0]} to {PORTS[-1]}")
+    require_plain(cli.save)  # a device would be written to at the end alone
     require_writable(cli.save)
     print("loading the networks and building the diagram ...", flush=True)
     from diagrams.browser.run import Run
@@ -107,7 +108,7 @@ def _keep(live: "Run") -> bool:
     try:
         path = live.keep()
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}")
         return False
     if path is not None:
         print(f"written: {path}")

@@ -9,7 +9,6 @@ import cProfile
 import json
 import logging
 import math
-import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -24,7 +23,7 @@ from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world, naming_file
 from models.checks import require_apart, require_one_of
-from models.command_line import require, require_writable, run
+from models.command_line import require, require_writable, run, say
 from models.errors import InputError
 from models.files.container import partial_of, remove_left_parts, write_text
 
@@ -227,7 +226,7 @@ def _kept(path: Path, write: Callable[[Path], object]) -> bool:
     try:
         write(path)
     except OSError as error:
-        print(f"error: {path} cannot be written ({error.strerror}): make room, or choose another", file=sys.stderr)
+        say(f"error: {path} cannot be written ({error.strerror}): make room, or choose another")
         return False
     return True
 
@@ -237,7 +236,7 @@ def _drawn(what: str, path: Path | None, draw: Callable[[Path], object]) -> bool
     try:
         return path is None or _kept(path, draw)
     except Exception as error:
-        print(f"warning: the {what} could not be drawn: {' '.join(str(error).split())}", file=sys.stderr)
+        say(f"warning: the {what} could not be drawn: {error}")
         return True
 
 

@@ -42,10 +42,8 @@ def workers(arguments: SweepArguments, names: list[str], most: int) -> tuple[Any
     """A pool of at most `most` workers, of this machine or of a cluster, and what it runs on a task."""
     if arguments.scheduler is None:
         return Pool(min(arguments.workers, most)), partial(run_task, arguments.weights)
-    from diagrams.sweeps.cluster import DaskPool
-
     files = {name: (arguments.weights / name).read_bytes() for name in names}
-    cluster = DaskPool(arguments.scheduler, files, arguments.tls)
+    cluster = arguments.cluster(files)
     return cluster, cluster.with_files(run_task)
 
 
@@ -58,6 +56,7 @@ def main(arguments: SweepArguments) -> int:
     require("pandas", "pyarrow", "scipy", *(name for name, needed in optional.items() if needed))
     from diagrams.sweeps.table import TABLE, require_rows
 
+    arguments.require_cluster()
     world, out = load_world(arguments.world), arguments.out
     tasks, names = plan(arguments, world)
     if (out / TABLE).exists() and not (out / ROWS).exists():

@@ -90,7 +90,7 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
             code = _bad_input(f"there is not enough memory: {_MEMORY}")
         except KeyboardInterrupt as end:
             kept = "; ".join(getattr(end, "__notes__", ())) or "start it again"
-            _say(f"{interrupts.ENDED}: {kept}")
+            say(f"{interrupts.ENDED}: {kept}")
             code = 128 + getattr(end, "number", signal.SIGINT)
             for worker in multiprocessing.active_children():
                 worker.kill()  # it is not waited for: what it does is not finished
@@ -199,11 +199,12 @@ def require_writable(path: Path) -> None:
 
 
 def _bad_input(words: str) -> int:
-    _say(f"error: {words}")
+    say(f"error: {words}")
     return 2
 
 
-def _say(words: str) -> None:
-    """One line on stderr, if there is anybody to read it."""
+def say(words: str) -> None:
+    """One line on stderr, if there is anybody to read it; what would steer a terminal is written out."""
+    plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(words.split()))
     with suppress(OSError):
-        print(" ".join(words.split()), file=sys.stderr, flush=True)
+        print(plain, file=sys.stderr, flush=True)

@@ -60,7 +60,10 @@ class RowStore:
             try:
                 entry = json.loads(line)
                 if number == 1:
-                    _require_same(path, dict(entry["fingerprint"]), fingerprint, option)
+                    found = dict(entry["fingerprint"])
+                    if len(lines) > 2:  # else nothing is there that was made with it
+                        _require_same(path, found, fingerprint, option)
+                    whole *= found == fingerprint
                 else:
                     self.rows[entry["key"]] = entry["row"]
             except InputError:
@@ -70,7 +73,7 @@ class RowStore:
                 remedy = f"delete that line, or choose another {option}" if number > 1 else f"choose another {option}"
                 raise InputError(f"{path} is damaged in line {number}: {remedy}") from error
         self._file.truncate(whole)
-        if len(lines) == 1:
+        if not whole:
             self._write({"fingerprint": fingerprint})
 
     def read(self, key: str, of: Callable[[Any], R]) -> R:

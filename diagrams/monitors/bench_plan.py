@@ -70,6 +70,14 @@ class BenchArguments(ClusterOptions):
             RECOVERIES.check(spec)
         by_label(RECOVERIES.label, self.recoveries)
 
+    def require_replay_of(self, bench: "BenchArguments") -> None:
+        """Raises InputError for an option beside --replay that is not what that `bench` was run with."""
+        by_itself = BenchArguments(out=self.out, replay=self.replay, workers=self.workers)
+        for name, value in vars(self).items():
+            if value not in (getattr(by_itself, name), getattr(bench, name)):
+                option = f"--{name.replace('_', '-')}"
+                raise InputError(f"{option} {value} says nothing to --replay, for which --out says all: leave it out")
+
     @property
     def specs(self) -> dict[str, str]:
         """The detectors by their short names, with those that all are measured by."""

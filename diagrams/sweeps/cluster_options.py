@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from models.errors import InputError
 
@@ -29,6 +30,23 @@ class ClusterOptions:
         for option, file in files.items():
             if file is not None and not file.is_file():
                 raise InputError(f"{option} {file} is no file: give one in the PEM format")
+
+    def require_cluster(self) -> None:
+        """Raises InputError for a --scheduler that cannot be used; asked before anything is written."""
+        if self.scheduler is not None:
+            self.cluster({}).__exit__()
+
+    def cluster(self, files: dict[str, bytes]) -> Any:
+        """A DaskPool at --scheduler with these `files`; raises InputError as it does, and for Dask's configuration."""
+        try:
+            from diagrams.sweeps.cluster import DaskPool
+        except ImportError:
+            raise
+        except Exception as error:  # it reads its configuration as it is imported, and raises what comes
+            words = "mend its files in ~/.config/dask, or the variables DASK_..."
+            raise InputError(f"Dask cannot use its configuration ({error!r:.200}): {words}") from error
+        assert self.scheduler is not None
+        return DaskPool(self.scheduler, files, self.tls)
 
     @property
     def tls(self) -> tuple[Path, Path, Path] | None:

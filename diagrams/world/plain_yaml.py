@@ -9,6 +9,7 @@ import yaml
 
 LARGEST_FILE = 1_000_000  # bytes
 DEEPEST = 20  # maps and lists within each other
+LONGEST = 4096  # characters of a key or a value, as of a path; 1:2:3 is a number in YAML 1.1, read in quadratic time
 # The parser in C, where PyYAML was built with it, takes a thirtieth of the time.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _WORDS = {int: "a whole number", float: "a number", str: "a word", bool: "true or false"}
@@ -18,7 +19,7 @@ def plain_yaml(path: Path, schema: type) -> str:
     """The text of the file `path`, which has keys and values of the dataclass `schema`.
 
     Raises ValueError, OSError, or one of yaml's errors for a file that is too large or says nothing, text that is not
-    UTF-8, a key given twice or unknown, an alias, a tag, and a value of another type.
+    UTF-8, a key or value that is too long, a key given twice or unknown, an alias, a tag, and a value of another type.
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_FILE + 1)
@@ -45,6 +46,8 @@ def _require_plain_tree(text: str) -> None:
             raise ValueError(f"{line} begins a second document: give one")
         if isinstance(event, yaml.AliasEvent) or event.__dict__.get("tag") not in (None, "!"):
             raise ValueError(f"{line} has an alias or a tag: write out what it stands for")
+        if isinstance(event, yaml.ScalarEvent) and len(event.value) > LONGEST:
+            raise ValueError(f"{line} has a key or value of {len(event.value)} characters: give at most {LONGEST}")
         if isinstance(event, yaml.CollectionEndEvent):
             open_maps.pop()
             at_key.pop()

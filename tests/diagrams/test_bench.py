@@ -347,6 +347,9 @@ def test_real_episodes(weights, tmp_path, monkeypatch):
     ):
         with pytest.raises(InputError, match=words):
             bench.main(asked(replay=wrong))
+    for option in ({"scheduler": "tcp://127.0.0.1:1"}, {"episodes": 9}):
+        with pytest.raises(InputError, match=f"--{next(iter(option))} .* says nothing to --replay.*leave it out"):
+            bench.main(asked(replay=key, **option))
     (tmp_path / "summary.json").unlink()
     with pytest.raises(InputError, match=r"summary.json is no summary of a bench .*run the bench in --out"):
         bench.main(asked(replay=key))

@@ -381,6 +381,7 @@ def test_bad_input_is_refused_before_anything_runs(tmp_path, weights, changes, e
     arguments = {"weights": weights, "out": tmp_path / "out"}
     with pytest.raises(error, match=f"(?s){named}"):
         sweep.main(SweepArguments(**(arguments | changes)))
+    assert not (tmp_path / "out").exists()
 
 
 def test_bad_input_has_code_2_and_one_line(tmp_path):

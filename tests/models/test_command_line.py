@@ -35,6 +35,11 @@ def test_bad_input_is_one_line(capsys):
     assert capsys.readouterr().err == "error: one two\n"
 
 
+def test_what_would_steer_a_terminal_is_written_out(capsys):
+    assert end_of(raiser(InputError("no \x1b[31mred\u202e\x9b2J\x00\r\nfile ü"))) == 2
+    assert capsys.readouterr().err == "error: no \\x1b[31mred\\u202e\\x9b2J\\x00 file ü\n"
+
+
 def test_a_name_that_is_no_text_is_told():
     code = "from models.command_line import run\nrun(lambda _: open('gone/\\udcff'), lambda: None)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)

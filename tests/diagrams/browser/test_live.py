@@ -178,6 +178,7 @@ def test_it_listens_on_this_machine_alone(tmp_path):
         (["--rnn", "perceptron"], "no network 'perceptron'"),
         (["--weights", "nowhere"], "no network 'lstm' in nowhere"),
         (["--save", "/dev/null/played.yaml"], "/dev/null/played.yaml cannot be written"),
+        (["--save", "/dev/full"], "/dev/full is a pipe or a device, no plain file: give another name"),
     ],
 )
 def test_bad_input(arguments, named, tmp_path, monkeypatch):

@@ -67,7 +67,10 @@ def test_a_file_that_a_kill_left_without_its_first_line_begins_anew(tmp_path):
 
 def test_another_fingerprint_is_refused_with_both_values(tmp_path):
     path = tmp_path / "rows.jsonl"
-    RowStore(path, IDENTITY).__exit__()
+    for identity in (IDENTITY | {"seed": 2}, IDENTITY):  # without a row it is of nothing yet
+        RowStore(path, identity).__exit__()
+    with RowStore(path, IDENTITY) as store:
+        store.add("a", 1)
     with pytest.raises(InputError, match=r"made with another seed \(0, now 1\): choose another --out"):
         RowStore(path, IDENTITY | {"seed": 1})
     with pytest.raises(InputError, match=r"another more \(None, now 2\)"):
@@ -117,7 +120,8 @@ def test_the_fingerprint_knows_world_and_code(tmp_path):
     assert {name for name in first if first[name] != other[name]} == {"world.timing.time_step"}
     assert code_hash() != code_hash("diagrams/hybrid")
     path = tmp_path / "rows"
-    RowStore(path, first).__exit__()
+    with RowStore(path, first) as store:
+        store.add("a", 1)
     with pytest.raises(InputError, match=r"another world.timing.time_step \(0.0125, now 0.00625\)"):
         RowStore(path, other)
 

@@ -1,7 +1,11 @@
 """A Dask cluster with the pool's face: files reach its workers, dead ones are replaced."""
 
 import itertools
+import os
+import re
 import socket
+import subprocess
+import sys
 import threading
 from functools import partial
 from pathlib import Path
@@ -17,6 +21,7 @@ from diagrams.sweeps import cluster as cluster_module
 from diagrams.sweeps.cluster import DaskPool
 from diagrams.sweeps.plan import SweepArguments
 from diagrams.sweeps.task import believed, error_row
+from models.command_line import ROOT
 from models.errors import InputError
 from tests.diagrams import sweep_fakes
 from tests.diagrams.sweep_fakes import make_task
@@ -139,6 +144,17 @@ def test_what_accepts_and_never_answers_is_no_scheduler(monkeypatch):
 def test_no_scheduler():
     with pytest.raises(InputError, match="no Dask scheduler at nonsense://1"):
         DaskPool("nonsense://1", {})
+
+
+def test_a_configuration_that_dask_refuses_is_named():
+    code = "from diagrams.sweeps.plan import SweepArguments as S\nfrom models.command_line import run\n"
+    code += "run(lambda _: S(scheduler='tcp://127.0.0.1:1').require_cluster(), lambda: None)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "nonsense"},
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert re.fullmatch(r"error: Dask cannot use its configuration \(.*NONSENSE.*\): mend .*\n", done.stderr)
 
 
 def elsewhere(found, **other):

@@ -20,6 +20,7 @@ from models.errors import InputError
         (b"seed: 1\n---\nseed: 2\n", "line 3 begins a second document"),
         (b"a: " + b"[" * 30, "more than 20 levels deep"),
         (b"x" * 1_000_001, "more than 1000000 bytes"),
+        (b"seed: 1" + b":59" * 300_000, "line 1 has a key or value of 900001 characters: give at most 4096"),
         (b"seed: \xff\n", "'utf-8' codec can't decode"),
         (b"_seed: 1\n", "there is no key '_seed': known are rnn, detector, seed"),
         (b"world: {timing: {perod: 0.1}}", r"there is no key 'world\.timing\.perod': known are period, time_step"),
