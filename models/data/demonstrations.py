@@ -90,6 +90,19 @@ def hdf5_errors(path: str | Path, verb: str, remedy: str, damaged: str) -> Itera
         raise DatasetError(f"{path} is damaged ({' '.join(str(error).split()):.200}): {damaged}") from error
 
 
+def require_whole(path: str | Path, file: h5py.File) -> None:
+    """Raises DatasetError for a part in another file: that may be gone, which HDF5 reads as zeros, or be a pipe."""
+
+    def outside(name: bytes, link: Any) -> str | None:
+        return name.decode(errors="replace") if link.type == h5py.h5l.TYPE_EXTERNAL else None
+
+    def outside_too(name: str, found: h5py.Group | h5py.Dataset) -> str | None:
+        return name if isinstance(found, h5py.Dataset) and (found.is_virtual or found.external) else None
+
+    if name := file.id.links.visit(outside, info=True) or file.visititems(outside_too):
+        raise DatasetError(f"{path}: {name} lies in another file: copy it into this one")
+
+
 @contextmanager
 def _open(path: str | Path) -> Iterator[h5py.File]:
     """The file, for reading; raises DatasetError where that, or what is read in it, fails."""
@@ -97,6 +110,7 @@ def _open(path: str | Path) -> Iterator[h5py.File]:
         raise DatasetError(f"{path}: the data set does not exist. Record it: `python diagrams/teach.py --out {path}`")
     try:
         with hdf5_errors(path, "read", "give another --data", "record it again"), h5py.File(path, "r") as file:
+            require_whole(path, file)
             yield file
     except RecursionError as error:
         raise DatasetError(f"{path} is damaged ({error}): record it again") from error
@@ -156,6 +170,8 @@ def _small(dataset: h5py.Dataset) -> h5py.Dataset:
     counts = [-(-axis // chunk) for axis, chunk in zip(dataset.shape, dataset.chunks or (), strict=False)]
     if (count := math.prod(counts)) > MOST_CHUNKS:
         raise ValueError(f"{dataset.name} has {count} chunks, more than {MOST_CHUNKS}")
+    if dataset.chunks is not None and (there := dataset.id.get_num_chunks()) < count:  # the others would be zeros
+        raise ValueError(f"{dataset.name} has {there} chunks of {count}")
     if dataset.ndim < 4 and (size := dataset.size * dataset.dtype.itemsize) > LARGEST_CHUNK:
         raise ValueError(f"{dataset.name} has {size} bytes, more than {LARGEST_CHUNK}")
     return dataset

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from models.checks import require_plain
-from models.data.demonstrations import MOST_TICKS, hdf5_errors
+from models.data.demonstrations import MOST_TICKS, hdf5_errors, require_whole
 from models.errors import InputError
 
 STATE, ACTION = "observation.state", "action"  # of LeRobot
@@ -65,6 +65,7 @@ def _of_robomimic(path: Path, states: Sequence[str]) -> Iterator[Motion]:
     if not path.exists():
         raise InputError(f"there is no file {path}: give another --data")
     with hdf5_errors(path, "read", "give another --data", "give another --data"), h5py.File(path, "r") as file:
+        require_whole(path, file)
         data: Any = file["data"]
         period = _period(data.attrs)
         for name in sorted(data, key=lambda name: (len(name), name)):

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from models.checks import require_plain
-from models.data.demonstrations import SPLITS, Demonstration, hdf5_errors, number_of
+from models.data.demonstrations import SPLITS, Demonstration, hdf5_errors, number_of, require_whole
 from models.errors import InputError
 from models.files.container import naming, write_bytes
 
@@ -117,6 +117,7 @@ class RecordingFile(AbstractContextManager):
                     file.create_group("data").attrs["env_args"] = text
                 write_bytes(path, begun.getvalue())
             with h5py.File(path, "r") as file:  # first without touching it: it may be anybody's
+                require_whole(path, file)
                 _require_same(path, file, json.loads(text))
             self._path, self._file = path, h5py.File(path, "r+")
             self._reserve(0)

@@ -330,7 +330,7 @@ def test_real_episodes(weights, tmp_path, monkeypatch):
     key = next(key for key in acted if "oracle-retrace" in key)
     trace, made = (tmp_path / "explorer" / f"{key}{suffix}" for suffix in (".js", ".html"))
     off = next((tmp_path / "explorer").glob("off-*-friction-*.webp"))
-    kept, asked = off.read_bytes(), functools.partial(arguments, weights, tmp_path)
+    kept, asked = off.read_bytes(), functools.partial(BenchArguments, out=tmp_path)
     assert bench.main(asked(replay=key)) == 0
     assert "<script" in made.read_text()
     assert made.with_suffix(".webp").is_file()
@@ -342,7 +342,7 @@ def test_real_episodes(weights, tmp_path, monkeypatch):
         bench.main(asked(replay=key))
     trace.unlink()
     for wrong, words in (
-        (key, "there is no .*the bench's own command"),
+        (key, "there is no .*run the command of the bench again"),
         ("off-lstm", "--replay off-lstm: .*no such episode"),
     ):
         with pytest.raises(InputError, match=words):

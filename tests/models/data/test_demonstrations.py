@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,6 +19,8 @@ from models.data.demonstrations import (
     read_header,
     subtask_ranges,
 )
+from models.data.motions import read_motions
+from models.data.recording import RecordingFile
 from tests.models import synthetic
 
 
@@ -139,6 +142,11 @@ def _many_chunks(file):
     file.create_dataset("mask/train", shape=(10**7,), dtype="S6", chunks=(1,))
 
 
+def _never_written(file):
+    del file["data/demo_3/obs/rgb"]
+    file.create_dataset("data/demo_3/obs/rgb", shape=(100, 112, 112, 3), dtype="u1", chunks=(1, 112, 112, 3))
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -153,6 +161,7 @@ def _many_chunks(file):
         (_attribute("subtask_starts", [0, 1000]), r"subtask_starts \(0, 1000\) of 100 ticks"),
         (_attribute("subtask_starts", [0, np.inf]), "infinity"),
         (_many_chunks, "/mask/train has 10000000 chunks, more than 100000"),
+        (_never_written, r"/data/demo_3/obs/rgb has 0 chunks of 100"),
         (_attribute("subtask_starts", [0, 3]), "subtasks of 12 ticks or more"),
         (_attribute("can_xy", [1.0, 2.0, 3.0]), r"can_xy \[1\. 2\. 3\.\]"),
     ],
@@ -164,6 +173,34 @@ def test_a_demonstration_that_is_not_whole_is_named(data_file: Path, tmp_path: P
         change(file)
     with pytest.raises(DatasetError, match=rf"d\.h5 is damaged \(.*{named}.*\): record it again"):
         read_demonstrations(path)
+
+
+def _link(file, name, pipe):
+    file[name] = h5py.ExternalLink(pipe, name)
+
+
+def _virtual(file, name, pipe):
+    layout = h5py.VirtualLayout((100, 8), float)
+    layout[...] = h5py.VirtualSource(pipe, name, (100, 8))
+    file.create_virtual_dataset(name, layout)
+
+
+def _raw(file, name, pipe):
+    file.create_dataset(name, (100, 8), float, external=[(pipe, 0, 6400)])
+
+
+@pytest.mark.parametrize("read", [read_demonstrations, read_motions, lambda path: RecordingFile(path, {}, {})])
+@pytest.mark.parametrize("elsewhere", [_link, _virtual, _raw])
+def test_what_lies_in_another_file_is_refused_unread(data_file: Path, tmp_path: Path, elsewhere, read) -> None:
+    """A pipe that nobody writes to would be waited for without end; of a file that is gone HDF5 reads zeros."""
+    path, name = tmp_path / "d.h5", "data/demo_3/actions"
+    path.write_bytes(data_file.read_bytes())
+    os.mkfifo(tmp_path / "pipe")
+    with h5py.File(path, "a") as file:
+        del file[name]
+        elsewhere(file, name, str(tmp_path / "pipe"))
+    with pytest.raises(DatasetError, match=rf"d\.h5: {name} lies in another file: copy it into this one"):
+        read(path)
 
 
 @pytest.mark.parametrize("split", ["train", "valid"])
