@@ -23,7 +23,7 @@ from diagrams.world.hands_schedule import HandsSchedule
 from diagrams.world.names import ENCODER, WEIGHTS
 from diagrams.world.scenario import Scenario, load_scenario, load_world, naming_file
 from models.checks import require_apart, require_one_of
-from models.command_line import require, require_writable, run, say
+from models.command_line import REMEDIES, require, require_writable, run, say
 from models.errors import InputError
 from models.files.container import partial_of, remove_left_parts, write_text
 
@@ -226,7 +226,8 @@ def _kept(path: Path, write: Callable[[Path], object]) -> bool:
     try:
         write(path)
     except OSError as error:
-        say(f"error: {path} cannot be written ({error.strerror}): make room, or choose another")
+        remedy = REMEDIES.get(error.errno or 0, "choose another")
+        say(f"error: {path} cannot be written ({error.strerror}): {remedy}")
         return False
     return True
 

@@ -7,6 +7,7 @@ import io
 import multiprocessing
 import os
 import re
+import resource
 import select
 import signal
 import sys
@@ -42,9 +43,13 @@ REMEDIES = {
     errno.ENFILE: "raise the limit of open files (ulimit -n), or take fewer --workers",
     errno.ENOMEM: _MEMORY, errno.EAGAIN: "raise the limit of processes (ulimit -u), or take fewer --workers",
 }  # fmt: skip
-# What torch and the loader of libraries say, under types that say nothing of it.
-_NO_MEMORY = re.compile(r"can't allocate memory|out of memory|failed to map segment")
+# What torch, Drake, Python and the loader of libraries say, under types that say nothing of it.
+_OF_MACHINE = {
+    r"can't allocate memory|out of memory|failed to map segment": f"there is not enough memory: {_MEMORY}",
+    r"can't start new thread|Resource temporarily": f"no thread can be started: {REMEDIES[errno.EAGAIN]}",
+}
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
+LEAST_STACK = 4 << 20  # bytes; an episode crashes with 1 MiB, and runs with 2
 ROOT = Path(__file__).resolve().parents[1]  # of the checkout
 
 
@@ -60,6 +65,7 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
     with interrupts.listening():
         try:
             require_checkout()
+            require_stack()
             try:
                 code = main(_parsed(arguments))
             except Exception:
@@ -85,9 +91,10 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
         except MemoryError as error:
             code = _bad_input(_words(error, f"there is not enough memory: {_MEMORY}"))
         except (ImportError, RuntimeError) as error:
-            if not _NO_MEMORY.search(str(error)):
+            told = next((words for said, words in _OF_MACHINE.items() if re.search(said, str(error))), None)
+            if told is None:
                 raise
-            code = _bad_input(f"there is not enough memory: {_MEMORY}")
+            code = _bad_input(told)
         except KeyboardInterrupt as end:
             kept = "; ".join(getattr(end, "__notes__", ())) or "start it again"
             say(f"{interrupts.ENDED}: {kept}")
@@ -182,6 +189,13 @@ def require_checkout() -> None:
         raise InputError(
             f"{ROOT} holds neither sdf/ nor the weights: install with `pip install -e .`, in an environment of its own"
         )
+
+
+def require_stack() -> None:
+    """Raises InputError where the stack is limited to less than LEAST_STACK: the simulation would crash."""
+    least, _ = resource.getrlimit(resource.RLIMIT_STACK)
+    if least != resource.RLIM_INFINITY and least < LEAST_STACK:
+        raise InputError(f"the stack is limited to {least // 1024} kB, too little: raise the limit (ulimit -s 8192)")
 
 
 def require_writable(path: Path) -> None:

@@ -316,7 +316,10 @@ def test_a_full_disk_costs_that_file_alone(tmp_path, untrained):
         "o.mcap",
     )  # fmt: skip
     assert done.returncode == 2
-    assert "error: o.json cannot be written (No space left on device)" in done.stderr
+    assert (
+        "error: o.json cannot be written (No space left on device): make room there, or choose another place"
+        in done.stderr
+    )
     assert "Traceback" not in done.stderr
     assert "task failed" in done.stdout
     assert all((tmp_path / name).stat().st_size for name in ("o.npz", "o.mcap"))

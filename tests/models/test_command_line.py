@@ -40,6 +40,14 @@ def test_what_would_steer_a_terminal_is_written_out(capsys):
     assert capsys.readouterr().err == "error: no \\x1b[31mred\\u202e\\x9b2J\\x00 file ü\n"
 
 
+def test_a_small_stack_is_refused():
+    code = "from models.command_line import run\nrun(lambda _: 0, lambda: None)"
+    words = f"ulimit -S -s 1024; exec {shlex.quote(sys.executable)} -c {shlex.quote(code)}"
+    done = subprocess.run(["bash", "-c", words], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "error: the stack is limited to 1024 kB, too little: raise the limit (ulimit -s 8192)\n"
+
+
 def test_a_name_that_is_no_text_is_told():
     code = "from models.command_line import run\nrun(lambda _: open('gone/\\udcff'), lambda: None)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)
@@ -176,16 +184,25 @@ def test_too_little_memory_is_one_line(capsys):
 
 
 @pytest.mark.parametrize(
-    "error",
+    ("error", "words"),
     [
-        RuntimeError(
-            "[enforce fail at alloc_cpu.cpp:127] err == 0. DefaultCPUAllocator: can't allocate memory: you ..."
+        (
+            RuntimeError("DefaultCPUAllocator: can't allocate memory: you"),
+            "not enough memory: ",
         ),
-        ImportError("onnx_cpp2py_export.so: failed to map segment from shared object"),
+        (ImportError("onnx_cpp2py_export.so: failed to map segment from shared object"), "not enough memory: "),
+        (RuntimeError("can't start new thread"), "no thread can be started: raise the limit of processes (ulimit -u)"),
+        (RuntimeError("Resource temporarily unavailable"), "no thread can be started: "),  # Meshcat's
     ],
 )
-def test_what_others_say_of_too_little_memory_is_one_line(capsys, error):
+def test_what_others_say_of_the_machine_is_one_line(capsys, error, words):
     assert end_of(raiser(error)) == 2
-    assert capsys.readouterr().err.startswith("error: there is not enough memory: ")
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_another_error_at_run_time_is_a_bug():
     with pytest.raises(RuntimeError, match="another"):
         end_of(raiser(RuntimeError("another")))
