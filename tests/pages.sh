@@ -42,7 +42,8 @@ s/ --steps [0-9]+//
 /training rnn/s/$/ --steps 4 --checkpoint-every 2 --validate-every 4/
 /training recall/s/$/ --steps 2 --checkpoint-every 1/
 s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
-# Networks of a few updates finish no task: the calibration takes the shipped ones.
+# Networks of a few updates finish no task: the calibration takes the shipped ones, and the episode after it.
+/pick_place\.py --weights runs\/weights$/s/^/cp models\/weights\/encoder.onnx runs\/weights; /
 /calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/encoder.onnx --episodes 2 --disturbed 2 --runs 2/
 /calibrate\.py/s/--candidates [^ ]+/--candidates models\/weights\/lstm.onnx/
 # Nor does a clone of a few: its calibration has to find that out, and it flies under no detector.

@@ -26,6 +26,16 @@ def test_a_slice_is_answered_well(tmp_path):
     assert done.returncode == 0
 
 
+def test_every_program_and_command_is_fed():
+    from tests.campaigns import fuzz, fuzz_inputs
+    from tests.test_pages import CAMPAIGNS, PROGRAMS, SUBCOMMANDS
+
+    names = {module: name for name, module in fuzz.PROGRAMS.items()}
+    fed = {names[module] for module in PROGRAMS if module not in CAMPAIGNS} - {"analysis", "training"}
+    fed |= {f"{names[module]} {command}" for module, commands in SUBCOMMANDS.items() for command in commands}
+    assert set(fuzz_inputs.programs()) == fed
+
+
 def refuses(argv):
     from models.command_line import run
 
