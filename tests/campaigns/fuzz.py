@@ -33,7 +33,7 @@ import tyro  # noqa: E402
 
 from models.checks import LARGEST_SEED, require_numbers  # noqa: E402
 from models.command_line import run  # noqa: E402
-from tests.campaigns.forked import ACCEPTED, Answer, Case, accept, answer  # noqa: E402
+from tests.campaigns.fuzz_case import ACCEPTED, Answer, Case, accept, answer  # noqa: E402
 
 # Modules by the names that cases give their programs.
 PROGRAMS = {

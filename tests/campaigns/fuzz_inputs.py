@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from diagrams import analysis, baselines, bench, calibrate, figures, live, pick_place, sweep, teach
 from diagrams.monitors import coverage, export, offline
 from models.training import __main__ as training
-from tests.campaigns.forked import Case, Special
 from tests.campaigns.fuzz_bases import BENCH, OFFLINE, RECALL, RNN, SWEEP, Bases
+from tests.campaigns.fuzz_case import Case, Special
 
 NUMBERS = (
     "0", "-1", "1", "2", "3", "-0.5", "0.5", "1.5", "nan", "-nan", "inf", "-inf", "1e308", "1e999", "-1e308", "1e-320",

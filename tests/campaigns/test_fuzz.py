@@ -7,8 +7,8 @@ import pytest
 
 from models.command_line import ROOT
 from models.errors import InputError
-from tests.campaigns import forked
-from tests.campaigns.forked import Case, Special, accept, answer
+from tests.campaigns import fuzz_case
+from tests.campaigns.fuzz_case import Case, Special, accept, answer
 
 FUZZ = ROOT / "tests" / "campaigns" / "fuzz.py"
 
@@ -16,7 +16,7 @@ FUZZ = ROOT / "tests" / "campaigns" / "fuzz.py"
 @pytest.fixture(autouse=True)
 def memory_of_this_process(monkeypatch):
     """A fork has all that the process of the suite has, which may be gigabytes."""
-    monkeypatch.setattr(forked, "BYTES", 64 * 1024**3)
+    monkeypatch.setattr(fuzz_case, "BYTES", 64 * 1024**3)
 
 
 def test_a_slice_is_answered_well(tmp_path):
