@@ -67,7 +67,7 @@ def chats(argv):
 
 
 def silent(argv):
-    print("error: something went wrong", file=sys.stderr)
+    print("error: 5 does not fit that name", file=sys.stderr)
     sys.exit(2)
 
 
