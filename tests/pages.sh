@@ -32,7 +32,7 @@ smaller() {
 s/pytest -n 2 --dist loadfile/pytest tests\/test_pages.py/
 s/ --measure//
 # Sweeps: one episode of each combination, one training seed, one disturbance for the other detectors.
-/sweep\.py/s/--episodes [0-9]+/--episodes 1/
+/sweep\.py/{s/ --episodes [0-9]+//;s/$/ --episodes 1/}
 /sweep\.py/s/--training-seeds 0 1 2/--training-seeds 0/
 /sweep\.py.*--detector/{/--disturbance/!s/$/ --disturbance none/}
 # Training: eight demonstrations (two trained positions), a few updates.
