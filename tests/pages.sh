@@ -59,8 +59,9 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /bench\.py coverage/s/$/ --runs 4 --calibration-runs 4 --disturbed 1 --deltas 0.5; test $? -le 1/
 /campaigns\/soak\.py/s/$/ --minutes 1 --count 40/
 /campaigns\/stl\.py/s/--count [0-9]+ --episodes [0-9]+/--count 20 --episodes 1/
-# Campaigns: hours on free cores; the versions need other Pythons.
+# Campaigns: hours on free cores, of all programs; the versions need other Pythons.
 /tests\/campaigns\//s/--count [0-9]+/--count 1/
+/campaigns\/(kills|machine)\.py/s/$/ --targets teach/
 s/^tests\/campaigns\/versions\.sh/test -x &/
 # The page runs until Ctrl-C.
 s/python diagrams\/live\.py/timeout --preserve-status -s INT 20 python diagrams\/live.py --no-open/

@@ -121,7 +121,7 @@ def _elsewhere(largest: int, rng: np.random.Generator) -> None:
 ASCII = (("LC_ALL", "C"), ("LANG", "C"), ("PYTHONIOENCODING", "ascii"))
 # Not baselines: what it is given lies where it writes.
 OUT_OF_ROOM = ("teach", "teach-lerobot", "cae", "rnn", "recall", "calibrate", "sweep", "sweep-blocked", "falsify",
-                "return", "resume", "defeat", "bench", "export", "pick_place")  # fmt: skip
+                "return", "resume", "defeat", "bench", "export", "coverage", "pick_place")  # fmt: skip
 CONDITIONS = {
     "full disk": Condition(before=_fill, after=lambda out: _mount("-o", "remount,size=2g", out),
                            targets=OUT_OF_ROOM, needs_mounts=True),

@@ -54,6 +54,7 @@ MODULES = {
     "sweep-blocked": ("diagrams.sweeps.summary", "diagrams.sweeps.table"), "teach": ("models.data.recording",),
     "bench": ("diagrams.monitors.bench_table", "pandas", "pyarrow.parquet", "scipy.stats", "sklearn.covariance"),
     "export": ("models.data.lerobot", "av", "diagrams.monitors.bench_table", "pandas", "pyarrow.parquet"),
+    "coverage": ("diagrams.drawing.coverage", "scipy.stats"),
     "cae": ("models.training.cae",), "rnn": ("models.training.rnn",), "recall": ("models.training.recall",),
 }  # fmt: skip
 BARE = {"teach", "teach-lerobot", "return", "pick_place"}  # need no weights and no data of their own

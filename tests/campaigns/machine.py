@@ -37,7 +37,7 @@ from tests.campaigns.targets import TARGETS  # noqa: E402
 
 TWO = "two programs"
 LOCKED = ("teach", "teach-lerobot", "cae", "rnn", "recall", "calibrate", "baselines", "sweep", "sweep-blocked",
-          "falsify", "return", "resume", "defeat", "bench", "export")  # fmt: skip
+          "falsify", "return", "resume", "defeat", "bench", "export", "coverage")  # fmt: skip
 
 
 @dataclass

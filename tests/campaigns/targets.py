@@ -348,4 +348,12 @@ TARGETS: dict[str, Target] = {
         lambda given, out: ["export", "--bench", f"{given}/bench", "--out", str(out), "--workers", "2"],
         _exported, lambda: swap("diagrams.monitors.export", record_run=fakes.record_run), _export_left,
     ),
+    "coverage": Target(
+        "diagrams.bench",
+        lambda given, out: ["coverage", "--bench", f"{given}/bench", "--out", str(out), "--runs", "12",
+                            "--calibration-runs", "8", "--disturbed", "4", "--deltas", "0.5", "--resamples", "2",
+                            "--workers", "2"],
+        rows_of("rows.jsonl"), lambda: swap("diagrams.monitors.coverage_runs", run_watched=fakes.run_watched),
+        rows="rows.jsonl",
+    ),
 }  # fmt: skip
