@@ -8,7 +8,7 @@ import pytest
 from models.command_line import ROOT
 from models.errors import InputError
 from tests.campaigns import fuzz_case
-from tests.campaigns.fuzz_case import Case, Special, accept, answer
+from tests.campaigns.fuzz_case import Answer, Case, Special, accept, answer
 
 FUZZ = ROOT / "tests" / "campaigns" / "fuzz.py"
 
@@ -34,6 +34,25 @@ def test_every_program_and_command_is_fed():
     fed = {names[module] for module in PROGRAMS if module not in CAMPAIGNS} - {"analysis", "training"}
     fed |= {f"{names[module]} {command}" for module, commands in SUBCOMMANDS.items() for command in commands}
     assert set(fuzz_inputs.programs()) == fed
+
+
+def test_all_cases_of_a_subject_are_run(tmp_path, monkeypatch, capsys):
+    """Also where it takes turns with another one."""
+    from tests.campaigns import fuzz
+
+    class Made:
+        def __init__(self, seed):
+            self.strategies = [None]
+
+        def __getitem__(self, number):
+            return Case("weights a" if number % 3 else "weights b", "teach", [])
+
+    monkeypatch.setattr(fuzz, "Inputs", Made)
+    monkeypatch.setattr(fuzz, "answer", lambda *_: Answer(0, 0.1, 50.0, ""))
+    for name in ("import_all", "leave_work_out"):
+        monkeypatch.setattr(fuzz, name, lambda: None)
+    assert fuzz.main(fuzz.FuzzArguments(count=9, subject="weights a", out=tmp_path)) == 0
+    assert capsys.readouterr().out.endswith("\n6 of 6 answered well\n")
 
 
 def refuses(argv):

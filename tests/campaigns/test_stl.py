@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from models.errors import InputError
 from tests.campaigns import stl
 from tests.campaigns.stl import StlArguments, formula_agrees, main, record_agrees
 
@@ -34,6 +35,13 @@ def test_another_value_is_found_and_told(tmp_path, monkeypatch, capsys):
     assert main(arguments) == 1  # what was run is not run again
     assert main(StlArguments(count=3, episodes=0, out=tmp_path / "new")) == 0
     assert capsys.readouterr().out.endswith("3 of 3 agree\n")
+
+
+def test_without_rtamt_the_campaign_says_so(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rtamt", None)
+    with pytest.raises(InputError, match=r"RTAMT cannot be imported .*with Python 3.11 or 3.12"):
+        main(StlArguments(count=1, episodes=0, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_record_that_disagrees_is_told():
