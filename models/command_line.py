@@ -115,7 +115,8 @@ def _parsed(arguments: Callable[[], Any]) -> Any:
         if end.code != 2:
             raise
         lines = [_COLOUR.sub("", line).strip("│ ") for line in said.getvalue().splitlines()]
-        words = " ".join(";" if line.startswith("─") else line for line in lines if line[:1] not in ("╭", "╰"))
+        # Its rules are of minus signs where the output has no others.
+        words = " ".join(";" if line[:3] in ("───", "---") else line for line in lines if line[:1] not in ("╭", "╰"))
         raise InputError(words.replace(" ;", ";") or "the arguments do not fit: see --help") from None
     if sys.stderr is not None:  # closed by whoever started the program
         sys.stderr.write(said.getvalue())

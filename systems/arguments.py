@@ -46,8 +46,7 @@ def require_bounds(lower_name: str, lower, upper_name: str, upper, size: int) ->
     return lower, upper
 
 
-def require_arrays(detector: str, arrays: dict, *names: str) -> None:
+def require_arrays(arrays: dict, *names: str) -> None:
     """Raises InputError unless the arrays of a detector's file have these `names`."""
     if set(arrays) != set(names):
-        has, wanted = sorted(arrays), sorted(names)
-        raise InputError(f"the file of the detector '{detector}' holds {has}, where {wanted} are needed: fit it again")
+        raise InputError(f"it holds {sorted(arrays)}, where {sorted(names)} are needed: fit it again")

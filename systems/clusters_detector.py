@@ -52,7 +52,7 @@ class ClustersDetector(VectorDetector):
     @staticmethod
     def build(policy, joints, arrays):
         """Returns the detector of what `fit` gave."""
-        require_arrays("pca_kmeans", arrays, "mean", "axes", "centres")
+        require_arrays(arrays, "mean", "axes", "centres")
         return ClustersDetector(policy, **arrays)
 
     def anomaly(self, rows):

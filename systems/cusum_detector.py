@@ -51,7 +51,7 @@ class CusumDetector(CalibratedDetector, LeafSystem):
     @staticmethod
     def build(policy, joints, arrays):
         """Returns the detector of what `fit` gave; the first `joints` components are judged."""
-        require_arrays("innovation_cusum", arrays, "reference")
+        require_arrays(arrays, "reference")
         reference = np.asarray(arrays["reference"], float)
         return CusumDetector(policy, joints, [reference[:joints].mean(), reference[-1]])
 

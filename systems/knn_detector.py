@@ -41,7 +41,7 @@ class KnnDetector(WindowDetector):
     @staticmethod
     def build(policy, joints, arrays):
         """Returns the detector of what `fit` gave; the first `joints` columns of the runs are judged."""
-        require_arrays("knn", arrays, "angles", "lengths", *({"unit"} & arrays.keys()))
+        require_arrays(arrays, "angles", "lengths", *({"unit"} & arrays.keys()))
         return KnnDetector(policy, posture_windows(decode_runs(arrays))[:joints])
 
     def anomaly(self, windows):

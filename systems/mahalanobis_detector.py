@@ -46,7 +46,7 @@ class MahalanobisDetector(VectorDetector):
     @staticmethod
     def build(policy, joints, arrays):
         """Returns the detector of what `fit` gave."""
-        require_arrays("mahalanobis", arrays, "mean", "whitening")
+        require_arrays(arrays, "mean", "whitening")
         return MahalanobisDetector(policy, arrays["mean"], arrays["whitening"])
 
     def anomaly(self, rows):

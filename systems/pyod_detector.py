@@ -79,7 +79,7 @@ def pyod_detector(name: str) -> type:
         @staticmethod
         def build(policy, joints, arrays):
             """Returns the detector of what `fit` gave, fitted to it now."""
-            require_arrays(Chosen.name, arrays, "rows")
+            require_arrays(arrays, "rows")
             seeded = {"random_state": SEED} if "random_state" in inspect.signature(kind).parameters else {}
             try:
                 return Chosen(policy, kind(**seeded), arrays["rows"])

@@ -42,7 +42,7 @@ class SubspaceDetector(WindowDetector):
     @staticmethod
     def build(policy, joints, arrays):
         """Returns the detector of what `fit` gave; the first `joints` of its axes are taken."""
-        require_arrays("subspace", arrays, "axes")
+        require_arrays(arrays, "axes")
         return SubspaceDetector(policy, arrays["axes"][:joints])
 
     def anomaly(self, windows):

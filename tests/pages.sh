@@ -32,7 +32,7 @@ smaller() {
 s/pytest -n 2 --dist loadfile/pytest tests\/test_pages.py/
 s/ --measure//
 # Sweeps: one episode of each combination, one training seed, one disturbance for the other detectors.
-/sweep\.py/s/--episodes [0-9]+/--episodes 1/
+/sweep\.py/{s/ --episodes [0-9]+//;s/$/ --episodes 1/}
 /sweep\.py/s/--training-seeds 0 1 2/--training-seeds 0/
 /sweep\.py.*--detector/{/--disturbance/!s/$/ --disturbance none/}
 # Training: eight demonstrations (two trained positions), a few updates.
@@ -42,7 +42,8 @@ s/ --steps [0-9]+//
 /training rnn/s/$/ --steps 4 --checkpoint-every 2 --validate-every 4/
 /training recall/s/$/ --steps 2 --checkpoint-every 1/
 s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
-# Networks of a few updates finish no task: the calibration takes the shipped ones.
+# Networks of a few updates finish no task: the calibration takes the shipped ones, and the episode after it.
+/pick_place\.py --weights runs\/weights$/s/^/cp models\/weights\/encoder.onnx runs\/weights; /
 /calibrate\.py/s/--encoder [^ ]+/--encoder models\/weights\/encoder.onnx --episodes 2 --disturbed 2 --runs 2/
 /calibrate\.py/s/--candidates [^ ]+/--candidates models\/weights\/lstm.onnx/
 # Nor does a clone of a few: its calibration has to find that out, and it flies under no detector.
@@ -58,8 +59,9 @@ s/rnn-(6000|32000)\.onnx/rnn-4.onnx/
 /bench\.py coverage/s/$/ --runs 4 --calibration-runs 4 --disturbed 1 --deltas 0.5; test $? -le 1/
 /campaigns\/soak\.py/s/$/ --minutes 1 --count 40/
 /campaigns\/stl\.py/s/--count [0-9]+ --episodes [0-9]+/--count 20 --episodes 1/
-# Campaigns: hours on free cores; the versions need other Pythons.
+# Campaigns: hours on free cores, of all programs; the versions need other Pythons.
 /tests\/campaigns\//s/--count [0-9]+/--count 1/
+/campaigns\/(kills|machine)\.py/s/$/ --targets teach/
 s/^tests\/campaigns\/versions\.sh/test -x &/
 # The page runs until Ctrl-C.
 s/python diagrams\/live\.py/timeout --preserve-status -s INT 20 python diagrams\/live.py --no-open/

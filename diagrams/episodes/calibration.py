@@ -160,10 +160,10 @@ def make_detector(detector: str, policy, folder: Path) -> System:
     label = DETECTORS.label(detector)
     stored = {} if label in UNFITTED else load_detector(detector_file(folder, detector), label).arrays
     arrays = of_policy(getattr(policy, "hash", ""), stored)
+    whose = "" if label in UNFITTED else f"{detector_file(folder, detector)}: "
     try:
         return DETECTORS[detector].build(policy, ARM_JOINTS, arrays)
-    except InputError:  # which says what is wrong with the file
-        raise
+    except InputError as error:  # of the file
+        raise InputError(f"{whose}{error}") from error
     except ValueError as error:
-        whose = "" if label in UNFITTED else f"{detector_file(folder, detector)}: "
         raise InputError(f"{whose}the detector '{label}' cannot be built for this policy: {error}") from error

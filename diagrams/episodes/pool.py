@@ -112,7 +112,7 @@ class Pool:
         finally:
             for future, (worker, _, _) in running.items():
                 # Waits: a worker is handed back when it is free.
-                self._idle.put(_worker() if isinstance(future.exception(), BrokenProcessPool) else worker)
+                self._idle.put(self._after_job(worker, isinstance(future.exception(), BrokenProcessPool)))
 
     def _take(self, block: bool) -> ProcessPoolExecutor | None:
         try:

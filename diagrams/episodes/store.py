@@ -119,7 +119,8 @@ class RowStore:
 def of_plain(kind: Any, value: Any) -> Any:
     """What `asdict` and JSON made of a `kind`, a dataclass or what its fields are, once more as one.
 
-    Raises ValueError, TypeError or OverflowError where a value has another type: Python itself looks at none.
+    Raises ValueError, TypeError, AttributeError or OverflowError where a value has another type: Python itself looks
+    at none.
     """
     if get_origin(kind) in (Union, types.UnionType):
         if value is None:

@@ -97,12 +97,12 @@ class Export:
         path = self.out / DIGESTS
         for place in (path, self.out / ROBOMIMIC):  # before a part of them is begun
             require_plain(place, "choose another --out")
+        digests = _digests(path) if path.exists() else {}
         with (
             LeRobotFolder(self.out / LEROBOT, settings, attributes) as folder,
             RecordingFile(self.out / ROBOMIMIC, settings, attributes) as file,
             Pool(self.workers) as pool,
         ):
-            digests = _digests(path) if path.exists() else {}
             missing = [job for job in jobs if not (job.name in folder and job.name in file and job.task.key in digests)]
             ran = pool.run(partial(record_run, self.bench), missing)
             done = len(jobs) - len(missing)
@@ -231,7 +231,7 @@ def _digests(path: Path) -> dict[str, str]:
         if not isinstance(found, dict):
             raise TypeError(f"{found!s:.40} is no table")
         return found
+    except FileNotFoundError as error:
+        raise InputError(f"there is no {path}, with which --check compares: export to this --out first") from error
     except (OSError, RecursionError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path}, with which --check compares, has no digests ({error}): export to this --out first"
-        ) from error
+        raise InputError(f"{path} has no digests ({error}): delete it, an export makes it again") from error

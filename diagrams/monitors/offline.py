@@ -127,6 +127,8 @@ class Offline:
         require_numbers(self, {"joints": (1, 10_000), "period": (1e-4, 100.0), "seed": (0, LARGEST_SEED)})
         if not 0.0 < self.delta < 1.0:
             raise InputError(f"--delta {self.delta} is no share: choose one between 0 and 1, such as 0.05")
+        if not self.data:
+            raise InputError("--data names no file: give one or more")
         require_plain(self.out / RESULT, "choose another --out")
         named = self.detectors or [*DETECTORS]
         for spec in named:

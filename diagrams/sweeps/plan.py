@@ -121,7 +121,7 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
         *((label, 0, spec) for label, spec in _by_label(POLICIES.label, arguments.policy).items()),
     ]
     for rnn, training_seed, spec in asked_for:
-        controller = controller_of(folder, rnn, RECALL, spec, training_seed)
+        controller = controller_of(folder, networks.get(rnn, rnn), RECALL, spec, training_seed)
         path = controller.policy
         name, policy = path.name, controller.load()
         if spec is None:

@@ -20,6 +20,7 @@ from systems.clearance_filter import WITHIN
 LARGEST_PICTURE = 2048  # pixels a side
 LARGEST_GRID = 100  # positions a side
 FARTHEST = 10.0  # m, of what is on the desk: no arm reaches so far
+WIDEST = 1.0  # m, between the fingers: no hand opens so far
 CLEARANCE_CANS = ("possible", "known", "unseen")
 RESUMPTIONS = ("reset", "imagined")
 MOST_HALVINGS = 10  # of a period to a time step: a simulation of smaller ones would not end
@@ -186,10 +187,10 @@ class World:
             raise InputError(
                 f"world.camera.field_of_view_deg {angle} is no angle of view: choose more than 0, below 180"
             )
-        if not 0.0 <= self.closed_opening < self.opening < math.inf:
+        if not 0.0 <= self.closed_opening < self.opening <= WIDEST:
             raise InputError(
                 f"world.closed_opening {self.closed_opening} m and opening {self.opening} m do not fit: "
-                "choose 0 <= closed_opening < opening"
+                f"choose 0 <= closed_opening < opening <= {WIDEST}"
             )
         if not self.closed_opening <= self.close_below < self.open_above <= self.opening:
             raise InputError(

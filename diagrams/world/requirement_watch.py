@@ -54,7 +54,7 @@ class RequirementWatch:
         given |= {"desired_posture": command, "query_object": station.GetOutputPort("query_object")}
         for name, port in given.items():
             builder.Connect(port, watching.GetInputPort(name))
-        self.signals, self._watching, self._names = watching.GetOutputPort("signals"), watching, requirements(period)
+        self.signals, self._watching, self._names = watching.GetOutputPort("signals"), watching, [*requirements(period)]
 
     def robustness(self, root: Context) -> dict[str, float]:
         """`robustness_of` the run so far, by its root's Context in the middle of a tick; where it is monitored."""

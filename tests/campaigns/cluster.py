@@ -22,14 +22,17 @@ import tyro
 from tqdm import tqdm
 
 from diagrams.episodes.fingerprint import fingerprint
+from diagrams.episodes.sampling import SEED_BLOCKS
 from diagrams.episodes.store import RowStore
 from diagrams.world.configuration import World
+from models.checks import require_numbers
 from models.command_line import ROOT, run
 from models.errors import InputError
-from tests.campaigns.cluster_case import SWEEP, Bad, Case, ClusterArguments, rows_of, stored
+from tests.campaigns.cluster_case import EPISODES, SWEEP, Bad, Case, ClusterArguments, rows_of, stored
 from tests.campaigns.network import Network
 
 WORKERS = 3
+HANG = 60.0  # s, of a worker that hangs
 
 
 def parse(arguments: list[str] | None = None) -> ClusterArguments:
@@ -59,7 +62,7 @@ def worker_hung(case: Case) -> str:
     case.moment(driver)
     group = case.workers[case.any_worker()].pid
     os.killpg(group, signal.SIGSTOP)
-    time.sleep(case.arguments.hang)
+    time.sleep(HANG)
     os.killpg(group, signal.SIGCONT)
     return case.finish(driver)
 
@@ -189,7 +192,7 @@ def here(arguments: ClusterArguments) -> dict[str, dict]:
     """The rows of this machine's own workers."""
     out = arguments.out / "here"
     done = subprocess.run(
-        [sys.executable, str(SWEEP), "--episodes", str(arguments.episodes), "--seed", str(arguments.seed),
+        [sys.executable, str(SWEEP), "--episodes", str(EPISODES), "--seed", str(arguments.seed),
          "--disturbance", "none", "B", "--out", str(out.resolve()), "--workers", "2"],
         env=os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}, capture_output=True, text=True, check=False,
     )  # fmt: skip
@@ -213,8 +216,9 @@ def run_case(arguments: ClusterArguments, number: int, reference: dict[str, dict
 
 def main(arguments: ClusterArguments) -> int:
     """Runs the cases that are missing; returns the exit code."""
-    asked = {name: getattr(arguments, name) for name in ("seed", "episodes", "hang")}
-    with RowStore(arguments.out / "cases.jsonl", fingerprint(World(), "diagrams/sweeps", **asked)) as store:
+    require_numbers(arguments, {"seed": (0, SEED_BLOCKS - 1), "count": (1, 10**6)})
+    made_with = fingerprint(World(), "diagrams/sweeps", "tests/campaigns", seed=arguments.seed)
+    with RowStore(arguments.out / "cases.jsonl", made_with) as store:
         write_authorities(arguments.out)
         reference = here(arguments)
         numbers = range(arguments.count)

@@ -21,6 +21,7 @@ from tests.campaigns.network import Network
 SWEEP = Path(__file__).with_name("cluster_sweep.py")
 TIMES = ("wall_seconds", "realtime_factor")  # a row's columns that no two runs share
 PATIENCE = 300.0  # s, for anything
+EPISODES = 6  # of each disturbance (none, B)
 
 
 @dataclass
@@ -29,9 +30,7 @@ class ClusterArguments:
 
     seed: int = 0
     count: int = 26
-    out: Path = Path("outputs/campaign_cluster")
-    episodes: int = 6  # of each disturbance (none, B)
-    hang: float = 60.0  # s, of a worker that hangs
+    out: Path = Path("outputs/campaigns/cluster")
 
 
 class Bad(AssertionError):
@@ -116,7 +115,7 @@ class Case:
         """The sweep; the same command each time."""
         self.starts += 1
         words = (
-            "--scheduler", self.address, "--episodes", self.arguments.episodes, "--seed", self.arguments.seed,
+            "--scheduler", self.address, "--episodes", EPISODES, "--seed", self.arguments.seed,
             "--disturbance", "none", "B", "--out", self.folder / "out", *self.tls("tls-ca", authority),
         )  # fmt: skip
         return self.start("driver", 0, SWEEP, *words)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 CLONE_NEWNS, PR_CAPBSET_DROP, CAPABILITIES_3 = 0x00020000, 24, 0x20080522
-OVERRIDES = (1 << 1) | (1 << 2) | (1 << 3)  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH, CAP_FOWNER
+OVERRIDING = (1, 2, 3)  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH, CAP_FOWNER
 PAGE = 4096
 
 
@@ -72,13 +72,13 @@ def _of_another(out: Path, size: int, rng: np.random.Generator) -> None:
 def _no_overriding(largest: int, rng: np.random.Generator) -> None:
     """Root's right to write in anybody's folder is given up."""
     libc = ctypes.CDLL(None, use_errno=True)
-    for bit in (1, 2, 3):
+    for bit in OVERRIDING:
         libc.prctl(PR_CAPBSET_DROP, bit, 0, 0, 0)
     header = (ctypes.c_uint32 * 2)(CAPABILITIES_3, 0)
     data = (ctypes.c_uint32 * 6)()
     libc.capget(header, data)
     for place in (0, 1, 2):
-        data[place] &= ~OVERRIDES
+        data[place] &= ~sum(1 << bit for bit in OVERRIDING)
     if libc.capset(header, data) != 0:
         raise OSError(ctypes.get_errno(), "capset")
 
@@ -121,7 +121,7 @@ def _elsewhere(largest: int, rng: np.random.Generator) -> None:
 ASCII = (("LC_ALL", "C"), ("LANG", "C"), ("PYTHONIOENCODING", "ascii"))
 # Not baselines: what it is given lies where it writes.
 OUT_OF_ROOM = ("teach", "teach-lerobot", "cae", "rnn", "recall", "calibrate", "sweep", "sweep-blocked", "falsify",
-                "return", "resume", "defeat", "bench", "export", "pick_place")  # fmt: skip
+                "return", "resume", "defeat", "bench", "export", "coverage", "pick_place")  # fmt: skip
 CONDITIONS = {
     "full disk": Condition(before=_fill, after=lambda out: _mount("-o", "remount,size=2g", out),
                            targets=OUT_OF_ROOM, needs_mounts=True),
@@ -149,7 +149,7 @@ CONDITIONS = {
 }  # fmt: skip
 
 
-def command(name: str, given: Path, out: Path, where: Path | None = None) -> list[str]:
+def command(name: str, given: Path, out: Path) -> list[str]:
     """That runs a target in a Python of its own."""
     code = "import sys; from pathlib import Path; from tests.campaigns.targets import TARGETS; "
     code += "name, *folders = sys.argv[1:]; TARGETS[name].run(*map(Path, folders))"

@@ -45,6 +45,13 @@ def record_run(bench: Path, job):
     return recorded(job.name, key=job.task.key)
 
 
+def run_watched(folder: Path, task):
+    from tests.diagrams.coverage_fakes import watched_row
+
+    note(task.key)
+    return watched_row(folder, task)
+
+
 def blocked(job):
     _, kind, seeds = job
     note(f"{kind} {seeds[0]}")

@@ -10,7 +10,6 @@ The same seed gives the same inputs. Started again with the same --out it goes o
 kept in OUT/SEED/failed/NUMBER with its files and command; `--only NUMBER` runs it again. Exit code 1: some are not.
 """
 
-import hashlib
 import importlib
 import json
 import os
@@ -32,9 +31,9 @@ os.environ["MPLBACKEND"] = "Agg"
 
 import tyro  # noqa: E402
 
+from models.checks import LARGEST_SEED, require_numbers  # noqa: E402
 from models.command_line import run  # noqa: E402
-from models.errors import InputError  # noqa: E402
-from tests.campaigns.forked import ACCEPTED, Answer, Case, accept, answer  # noqa: E402
+from tests.campaigns.fuzz_case import ACCEPTED, Answer, Case, accept, answer  # noqa: E402
 
 # Modules by the names that cases give their programs.
 PROGRAMS = {
@@ -113,7 +112,7 @@ class Inputs:
         self.seed, bases = seed, in_child(fuzz_bases.make_bases)
         lines = [fuzz_inputs.command_lines(name, program, bases) for name, program in fuzz_inputs.programs().items()]
         texts = [fuzz_yaml.worlds(bases), fuzz_yaml.scenarios(bases)] * 3
-        files = [fuzz_weights.weights(bases)] * 5 + [fuzz_files.demonstrations(bases)] * 2
+        files = [fuzz_weights.weights(bases)] * 4 + [fuzz_files.demonstrations(bases)] * 2
         files += [fuzz_files.records(bases)] * 2 + [fuzz_files.sweeps(bases)] * 2 + [fuzz_files.checkpoints(bases)] * 2
         files += [fuzz_bench.benches(bases)] * 2 + [fuzz_bench.exports(bases), fuzz_bench.runs(bases)]
         self.strategies = [*lines, *texts, *files, fuzz_weights.autoencoders(bases)]
@@ -159,25 +158,14 @@ def keep(case: Case, found: Answer, made: Path, folder: Path) -> None:
     (folder / "case.txt").write_text(text + found.words[-5000:], errors="backslashreplace")
 
 
-def sources() -> str:
-    """Hash of all that decides how a case is answered, and which it is."""
-    total = hashlib.sha256()
-    for path in sorted(
-        p for room in ("models", "systems", "diagrams", "sdf", "tests/campaigns") for p in (ROOT / room).rglob("*")
-    ):
-        if path.suffix in (".py", ".yaml", ".sdf"):
-            total.update(path.read_bytes())
-    return total.hexdigest()[:16]
-
-
 def main(arguments: FuzzArguments) -> int:
     """Runs the cases that the log does not hold yet; returns the exit code."""
     from tqdm import tqdm
 
+    from diagrams.episodes.fingerprint import code_hash
     from diagrams.episodes.store import RowStore
 
-    if arguments.count < 1 or arguments.seed < 0:
-        raise InputError(f"--count {arguments.count} or --seed {arguments.seed} is too small: choose 1, or 0, or more")
+    require_numbers(arguments, {"seed": (0, LARGEST_SEED), "count": (1, 10**6), "only": (0, 10**6)})
     import_all()
     inputs = Inputs(arguments.seed)
     leave_work_out()
@@ -189,14 +177,12 @@ def main(arguments: FuzzArguments) -> int:
         print(f"in {scratch}/here: {case.command!a}\nexit code {found.code}, {found.cpu_s:.1f} s, {found.mib:.0f} MiB")
         print(f"{found.words.encode(errors='backslashreplace').decode()}\n{found.wrong or 'answered well'}")
         return 1 if found.wrong else 0
-    with RowStore(out / "log.jsonl", {"seed": arguments.seed, "sources": sources()}) as store:
-        numbers, others = [n for n in range(arguments.count) if str(n) not in store.rows], set[int]()
+    made_with = {"seed": arguments.seed, "code": code_hash("models", "diagrams", "tests/campaigns")}
+    with RowStore(out / "log.jsonl", made_with) as store:
+        numbers = [number for number in range(arguments.count) if str(number) not in store.rows]
         for number in tqdm(numbers, unit="case", disable=None):
-            if (turn := number % len(inputs.strategies)) in others:
-                continue
             case = inputs[number]
             if arguments.subject and not case.subject.startswith(arguments.subject):
-                others.add(turn)
                 continue
             found = answer(case, main_of(case.program), scratch)
             if found.wrong:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from tests.campaigns.forked import Case
 from tests.campaigns.fuzz_bases import BENCH, OFFLINE, Bases
+from tests.campaigns.fuzz_case import Case
 from tests.campaigns.fuzz_changes import ODD, changed
 from tests.campaigns.fuzz_files import change_hdf5, change_report, change_table
 from tests.campaigns.fuzz_inputs import needed

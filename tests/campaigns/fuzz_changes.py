@@ -5,7 +5,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from tests.campaigns.forked import Special
+from tests.campaigns.fuzz_case import Special
 
 ODD: tuple[Any, ...] = (
     0, -1, 1, 2, 0.5, float("nan"), float("inf"), -float("inf"), 1e308, 1e-320, 10**30, "", "abc", "a/b", None, True,

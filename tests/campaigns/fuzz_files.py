@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 from hypothesis import strategies as st
 
-from tests.campaigns.forked import Case
 from tests.campaigns.fuzz_bases import RECALL, RNN, SWEEP, Bases
+from tests.campaigns.fuzz_case import Case
 from tests.campaigns.fuzz_changes import ODD, changed
 from tests.campaigns.fuzz_inputs import needed
 

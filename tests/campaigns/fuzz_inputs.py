@@ -9,10 +9,10 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 from hypothesis import strategies as st
 
 from diagrams import analysis, baselines, bench, calibrate, figures, live, pick_place, sweep, teach
-from diagrams.monitors import export, offline
+from diagrams.monitors import coverage, export, offline
 from models.training import __main__ as training
-from tests.campaigns.forked import Case, Special
 from tests.campaigns.fuzz_bases import BENCH, OFFLINE, RECALL, RNN, SWEEP, Bases
+from tests.campaigns.fuzz_case import Case, Special
 
 NUMBERS = (
     "0", "-1", "1", "2", "3", "-0.5", "0.5", "1.5", "nan", "-nan", "inf", "-inf", "1e308", "1e999", "-1e308", "1e-320",
@@ -72,6 +72,9 @@ def programs() -> dict[str, Program]:
         "bench": Program(bench.BenchArguments, [*BENCH, "--out", "out"]),
         "bench export": Program(
             export.Export, ["--bench", "bench", "--out", "new", "--workers", "0"], ("bench",), ("export",)
+        ),
+        "bench coverage": Program(
+            coverage.Coverage, ["--bench", "bench", "--out", "new", "--workers", "0"], ("bench",), ("coverage",)
         ),
         "bench offline": Program(offline.Offline, ["--data", "robomimic.hdf5", *OFFLINE], ("runs",), ("offline",)),
         "figures": Program(figures.FiguresArguments, [*weights, "--records", "B.npz"], ("weights", "record")),

@@ -5,8 +5,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from tests.campaigns.forked import Case
 from tests.campaigns.fuzz_bases import BENCH, RECALL, RNN, SWEEP, Bases
+from tests.campaigns.fuzz_case import Case
 from tests.campaigns.fuzz_changes import ODD, changed
 from tests.campaigns.fuzz_inputs import needed
 

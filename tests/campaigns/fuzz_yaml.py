@@ -6,8 +6,8 @@ from typing import Any
 from hypothesis import strategies as st
 
 from diagrams.world.configuration import World
-from tests.campaigns.forked import Case
 from tests.campaigns.fuzz_bases import SWEEP, Bases
+from tests.campaigns.fuzz_case import Case
 from tests.campaigns.fuzz_inputs import needed
 
 SCALARS = (

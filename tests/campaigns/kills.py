@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -32,7 +32,10 @@ import tyro
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from diagrams.episodes.fingerprint import code_hash  # noqa: E402
+from diagrams.episodes.pool import MOST_WORKERS  # noqa: E402
 from diagrams.episodes.store import RowStore  # noqa: E402
+from models.checks import LARGEST_SEED, require_numbers  # noqa: E402
 from models.command_line import run as run_program  # noqa: E402
 from models.interrupts import ENDED  # noqa: E402
 from tests.campaigns import fakes  # noqa: E402
@@ -51,6 +54,7 @@ MODULES = {
     "sweep-blocked": ("diagrams.sweeps.summary", "diagrams.sweeps.table"), "teach": ("models.data.recording",),
     "bench": ("diagrams.monitors.bench_table", "pandas", "pyarrow.parquet", "scipy.stats", "sklearn.covariance"),
     "export": ("models.data.lerobot", "av", "diagrams.monitors.bench_table", "pandas", "pyarrow.parquet"),
+    "coverage": ("diagrams.drawing.coverage", "scipy.stats"),
     "cae": ("models.training.cae",), "rnn": ("models.training.rnn",), "recall": ("models.training.recall",),
 }  # fmt: skip
 BARE = {"teach", "teach-lerobot", "return", "pick_place"}  # need no weights and no data of their own
@@ -62,9 +66,9 @@ class KillsArguments:
 
     seed: int = 0  # of the moments
     count: int = 20  # kills a program; with each signal a quarter as many
-    targets: list[str] = field(default_factory=lambda: [name for name in TARGETS if name != "pick_place"])
-    hows: list[str] = field(default_factory=lambda: list(HOWS))
-    out: Path | None = None  # folder of kills.jsonl: started again, the campaign goes on
+    targets: list[Literal[*TARGETS]] = field(default_factory=lambda: [name for name in TARGETS if name != "pick_place"])
+    hows: list[Literal[*HOWS]] = field(default_factory=lambda: list(HOWS))
+    out: Path = Path("outputs/campaigns/kills")  # folder of kills.jsonl: started again, the campaign goes on
     patience: float = 5.0  # s, in which all processes have to be gone
     workers: int = len(os.sched_getaffinity(0))  # programs at a time
 
@@ -135,16 +139,14 @@ class Campaign:
         if isinstance(kept, str):
             return f"what is finished cannot be read after the kill: {kept}"
         before = len(self._notes(out))
-        if how == "worker" and process.code == 0:
-            again = before  # nothing was started again
-        else:
+        if how != "worker":  # after which it goes on by itself
             ended = self._whole(name, out)
-            again = len(self._notes(out)) - before
             if ended.code != target.code:
                 return f"started again: exit code {ended.code}: {ended.err[-600:] or ended.out[-600:]}"
+        again = len(self._notes(out)) - before
         if self._left(name, out) != whole["left"]:
             wrong = wrong or f"it leaves something else: see {out}"
-        if how != "worker" and again > len(whole["notes"]) - kept:
+        if again > len(whole["notes"]) - kept:
             wrong = wrong or f"{kept} of {len(whole['notes'])} were finished, {again} were run after that"
         if wrong is None:
             shutil.rmtree(out)
@@ -161,6 +163,7 @@ class Campaign:
             for pid in process.workers()[:1]:
                 os.kill(pid, signal.SIGKILL)
             if not process.wait(600.0):
+                process.kill()
                 return "it does not end"
             return None if process.code == 0 else f"exit code {process.code}: {process.ended().err[-600:]}"
         elif how in ENDS and not process.poll():
@@ -217,13 +220,20 @@ def parse(arguments: list[str] | None = None) -> KillsArguments:
 
 def main(arguments: KillsArguments) -> int:
     """Runs what is not in the log yet; returns 0 if all was well, else 1."""
+    store = store_of(arguments, "kills")
     folder = Path(tempfile.mkdtemp())  # no TemporaryDirectory: a forked process would remove it at its end
     try:
-        path = (arguments.out or folder) / "kills.jsonl"
-        with RowStore(path, {"campaign": "kills", "seed": arguments.seed}) as store:
+        with store:
             return _run(arguments, folder, store)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def store_of(arguments: Any, name: str) -> RowStore:
+    """The log of the campaign `name` in --out; raises InputError for a number outside of its choices."""
+    require_numbers(arguments, {"seed": (0, LARGEST_SEED), "count": (1, 10**6), "workers": (1, MOST_WORKERS)})
+    made_with = {"seed": arguments.seed, "code": code_hash("models", "diagrams", "tests/campaigns")}
+    return RowStore(arguments.out / f"{name}.jsonl", made_with)
 
 
 def _run(arguments: KillsArguments, folder: Path, store: RowStore) -> int:

@@ -18,7 +18,7 @@ import sys
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -31,13 +31,13 @@ sys.path.insert(0, str(ROOT))
 from diagrams.episodes.store import RowStore  # noqa: E402
 from models.command_line import run as run_program  # noqa: E402
 from tests.campaigns.conditions import CONDITIONS, Condition, command, own_mounts  # noqa: E402
-from tests.campaigns.kills import Campaign  # noqa: E402
+from tests.campaigns.kills import Campaign, store_of  # noqa: E402
 from tests.campaigns.processes import Ended, Forked, run  # noqa: E402
 from tests.campaigns.targets import TARGETS  # noqa: E402
 
 TWO = "two programs"
 LOCKED = ("teach", "teach-lerobot", "cae", "rnn", "recall", "calibrate", "baselines", "sweep", "sweep-blocked",
-          "falsify", "return", "resume", "defeat", "bench", "export")  # fmt: skip
+          "falsify", "return", "resume", "defeat", "bench", "export", "coverage")  # fmt: skip
 
 
 @dataclass
@@ -46,9 +46,9 @@ class MachineArguments:
 
     seed: int = 0
     count: int = 2  # cases a condition and program
-    conditions: list[str] = field(default_factory=lambda: [*CONDITIONS, TWO])
-    targets: list[str] = field(default_factory=lambda: list(TARGETS))
-    out: Path | None = None  # folder of machine.jsonl: started again, the campaign goes on
+    conditions: list[Literal[*CONDITIONS, TWO]] = field(default_factory=lambda: [*CONDITIONS, TWO])
+    targets: list[Literal[*TARGETS]] = field(default_factory=lambda: list(TARGETS))
+    out: Path = Path("outputs/campaigns/machine")  # folder of machine.jsonl: started again, the campaign goes on
     workers: int = len(os.sched_getaffinity(0))  # programs at a time
 
 
@@ -141,11 +141,9 @@ def parse(arguments: list[str] | None = None) -> MachineArguments:
 
 def main(arguments: MachineArguments) -> int:
     """Runs what is not in the log yet; returns 0 if all was well, else 1."""
-    mounts = own_mounts()
-    folder = Path(tempfile.mkdtemp())
+    store, mounts, folder = store_of(arguments, "machine"), own_mounts(), Path(tempfile.mkdtemp())
     try:
-        path = (arguments.out or folder) / "machine.jsonl"
-        with RowStore(path, {"campaign": "machine", "seed": arguments.seed}) as store:
+        with store:
             return _run(arguments, folder, store, mounts)
     finally:
         subprocess.run(["umount", *map(str, _mounted(folder))], capture_output=True, check=False)

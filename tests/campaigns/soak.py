@@ -1,9 +1,12 @@
-"""Long runs: an hour of disturbances in one process and one Context, twice, and thousands of episodes in one worker.
+"""Long runs, twice: an hour of disturbances in one process and one Context; each fault beside what people do; and
+thousands of episodes in one worker.
 
     python tests/campaigns/soak.py --seed 0
 
 Whatever a person's hands can do (hold, move, pull, rob, dial), every fault of the camera and late steps are drawn from
-the seed, one after the other, without end. Started again with the same --out, it runs the parts that are missing.
+the seed, one after the other, without end. The faults of the bench are built into a diagram, one in each: they have a
+thirtieth of the time each, with a severity from the seed, while people go on. Started again with the same --out, it
+runs the parts that are missing.
 Exit code 0: all that is asked for held; 1: something did not; 2: bad input.
 """
 
@@ -31,6 +34,7 @@ GAP = (3, 55)  # ticks from one disturbance to the next: more than 1,000 in an h
 LENGTH = (5, 45)  # ticks that one lasts
 WARM = 1 / 6  # of a part, until its memory is to be flat: ten minutes of an hour
 HOUR_FLAT, SWEEP_FLAT = 0.02, 0.05  # by how much the memory may still grow
+LEAST_TICKS, FAR = 300, 9.0  # of a fault's run; m, from the goal: wherever the hand is
 SHORT = 1.0  # s of a short episode
 SAMPLES = 40  # of the memory in the sweep
 SHOWN = 5  # of what was found, in words
@@ -170,8 +174,10 @@ class Limits:
             self.found["effort"].append(f"tick {k}: the efforts are {effort}, their limits {self._most}")
 
 
-def long_run(arguments: SoakArguments) -> dict[str, Any]:
-    """A scene of the shipped LSTM that goes on and on: see `goes_on`."""
+def long_run(arguments: SoakArguments, fault: str | None = None) -> dict[str, Any]:
+    """A scene of the shipped LSTM that goes on and on, see `goes_on`; with `fault` for a thirtieth of the time."""
+    import numpy as np
+
     from diagrams.episodes.calibration import RECALL, Controller, policy_file, stored_calibration
     from diagrams.episodes.runner import build_rollout
     from diagrams.episodes.sampling import EpisodeSampler
@@ -179,12 +185,28 @@ def long_run(arguments: SoakArguments) -> dict[str, Any]:
     from diagrams.world.names import ENCODER, WEIGHTS
 
     world = World()
-    rollout = build_rollout(world, WEIGHTS / ENCODER, Controller(policy_file(WEIGHTS, "lstm")), hands=True)
+    network = Controller(policy_file(WEIGHTS, "lstm"))
+    rollout = build_rollout(world, WEIGHTS / ENCODER, network, hands=True, fault=fault)
     calibration = stored_calibration(RECALL, rollout.policy, WEIGHTS)
-    sampler = EpisodeSampler(world)
-    rollout.prepare(sampler.sample(arguments.seed, "none"), calibration)
+    sampler, ticks = EpisodeSampler(world), round(60.0 * arguments.minutes / world.timing.period)
+    episode = sampler.sample(arguments.seed, "none")
+    if fault is not None:
+        ticks = max(ticks // 30, LEAST_TICKS)
+        severity = 1.0 - float(np.random.default_rng([arguments.seed, *fault.encode()]).uniform())
+        episode = sampler.sample(arguments.seed, fault, severity=severity)
+        # It begins at once: near the goal nobody knows when the arm will be, with people about.
+        episode = dataclasses.replace(episode, disturbance=dataclasses.replace(episode.disturbance, level=FAR))
+    rollout.prepare(episode, calibration)
     chance = Chance(arguments.seed, rollout, sampler, calibration.gamma)
-    return goes_on(rollout, chance, round(60.0 * arguments.minutes / world.timing.period))
+    return goes_on(rollout, chance, ticks)
+
+
+def each_fault(arguments: SoakArguments, kinds: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The `long_run` of each fault of the registry, or of `kinds`: their rows by kind."""
+    from diagrams.world.faults.registry import FAULTS
+
+    chosen = tqdm(kinds or tuple(FAULTS), unit="fault", disable=None)
+    return {"faults": {kind: long_run(arguments, kind) for kind in chosen}}
 
 
 def goes_on(rollout, chance: Chance, ticks: int) -> dict[str, Any]:
@@ -192,9 +214,9 @@ def goes_on(rollout, chance: Chance, ticks: int) -> dict[str, Any]:
     import numpy as np
 
     limits, period, root = Limits(rollout), rollout.world.timing.period, rollout.simulator.get_mutable_context()
-    bits, measured, seconds, diverged, picked = hashlib.sha256(), [], [], None, 0
+    bits, measured, seconds, diverged, picked, acted = hashlib.sha256(), [], [], None, 0, 0
     a_minute = round(60.0 / period)
-    for k in tqdm(range(ticks), unit="tick", disable=None, mininterval=1.0):
+    for k in tqdm(range(ticks), unit="tick", disable=None, mininterval=1.0, leave=False):
         began = time.perf_counter()
         chance.before(k)
         if not rollout.advance((k + 0.5) * period):
@@ -207,12 +229,14 @@ def goes_on(rollout, chance: Chance, ticks: int) -> dict[str, Any]:
         for value in values.values():
             bits.update(value.tobytes())
         picked += bool(values["can_poses"][6] > 0.1)
+        acted += bool(rollout.judged("acting")[0])
         if (k + 1) % a_minute == 0:
             measured.append(memory())
     return {
         "ticks": len(seconds), "digest": bits.hexdigest(), "disturbances": dict(chance.done), "megabytes": measured,
         "found": {name: [len(found), *found[:SHOWN]] for name, found in limits.found.items()}, "diverged": diverged,
         "p99_ms": 1e3 * float(np.quantile(seconds, 0.99)), "ticks_picked": picked,
+        "ticks_acted": acted,
     }  # fmt: skip
 
 
@@ -249,7 +273,8 @@ def many_episodes(arguments: SoakArguments) -> dict[str, Any]:
 
 
 PARTS: dict[str, Callable[[SoakArguments], dict[str, Any]]] = {
-    "first run": long_run, "second run": long_run, "sweep": many_episodes,
+    "first run": long_run, "second run": long_run, "faults": each_fault, "faults again": each_fault,
+    "sweep": many_episodes,
 }  # fmt: skip
 
 
@@ -284,6 +309,9 @@ def judged(arguments: SoakArguments, rows: dict[str, dict[str, Any]]) -> dict[st
         if "error" in row:
             held[f"{name}: runs to its end"] = False, row["error"]
             continue
+        if "faults" in row:
+            _judge_faults(held, name, row["faults"])
+            continue
         if name == "sweep":
             count, *shown = row["errors"]
             held[f"{name}: no error"] = not count, f"{count} of {row['episodes']} episodes {shown}"
@@ -292,17 +320,44 @@ def judged(arguments: SoakArguments, rows: dict[str, dict[str, Any]]) -> dict[st
             held[f"{name}: runs to its end"] = row["diverged"] is None, str(row["diverged"] or f"{row['ticks']} ticks")
             number, least = sum(row["disturbances"].values()), 1000 * arguments.minutes // 60
             held[f"{name}: enough disturbances"] = number >= least, f"{number} {row['disturbances']}"
-            for what, (count, *shown) in row["found"].items():
-                held[f"{name}: {what}"] = not count, f"{count} ticks outside {shown}"
+            _judge_limits(held, name, row["found"])
             flat = HOUR_FLAT
         if measured := row["megabytes"]:
             grown = growth(measured)
             words = f"{100 * grown:.2f} % from {measured[0]:.0f} MB at first, {measured[-1]:.0f} MB at last"
             held[f"{name}: memory flat to {100 * flat:.0f} %"] = grown <= flat, words
-    digests = [row.get("digest") for name, row in rows.items() if name != "sweep"]
-    same = len(set(digests)) == 1 and digests[0] is not None
-    held["the two runs are the same"] = same, ", ".join(str(digest)[:16] for digest in digests)
+    for what, first, second in (("the two runs", "first run", "second run"), ("the faults", "faults", "faults again")):
+        digests = [_digest(rows[name]) for name in (first, second)]
+        same = digests[0] == digests[1] and digests[0] is not None
+        held[f"{what} are the same"] = same, ", ".join(str(digest)[:16] for digest in digests)
     return held
+
+
+def _digest(row: dict[str, Any]) -> str | None:
+    """Of a long run, or of those of all faults."""
+    if "faults" not in row:
+        return row.get("digest")
+    return hashlib.sha256("".join(each["digest"] for each in row["faults"].values()).encode()).hexdigest()
+
+
+def _judge_limits(held: dict[str, tuple[bool, str]], name: str, found: dict[str, list[Any]]) -> None:
+    for what, (count, *shown) in found.items():
+        held[f"{name}: {what}"] = not count, f"{count} ticks outside {shown}"
+
+
+def _judge_faults(held: dict[str, tuple[bool, str]], name: str, rows: dict[str, dict[str, Any]]) -> None:
+    """As a long run, all faults together; each of them is to have begun."""
+    ended = {kind: row["diverged"] for kind, row in rows.items() if row["diverged"]}
+    held[f"{name}: run to their end"] = not ended, str(ended or f"{sum(row['ticks'] for row in rows.values())} ticks")
+    idle = [kind for kind, row in rows.items() if not row["ticks_acted"]]
+    held[f"{name}: each one acts"] = not idle, ", ".join(idle) or f"{len(rows)} faults"
+    found: dict[str, list[Any]] = {}
+    for kind, row in rows.items():
+        for what, (count, *shown) in row["found"].items():
+            sums = found.setdefault(what, [0])
+            sums[0] += count
+            sums.extend(f"{kind}, {words}" for words in shown)
+    _judge_limits(held, name, found)
 
 
 def main(arguments: SoakArguments) -> int:

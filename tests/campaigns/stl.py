@@ -9,9 +9,10 @@ record that --records names. Started again with the same --out, it runs the case
 Exit code 0: all agree; 1: some do not; 2: bad input.
 """
 
-import hashlib
-from collections.abc import Iterator
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,8 @@ from tqdm import tqdm
 
 from diagrams.episodes.switching import SWITCHING_FAILURES
 from diagrams.world.requirements import broken
-from models.command_line import require, run
+from models.checks import require_numbers
+from models.command_line import run
 from models.errors import InputError
 from systems.signal_logic import robustness
 from systems.signal_logic_online import OnlineRobustness
@@ -44,16 +46,9 @@ class StlArguments:
     seed: int = 0
     count: int = 1000  # random formulas
     episodes: int = 12  # of the shipped LSTM, validation scenes
-    records: list[Path] = field(
-        default_factory=list
-    )  # of pick_place.py --record or sweep.py --keep-records; or folders
-    out: Path = Path("outputs/stl")
-
-    def check(self) -> None:
-        """Raises InputError for a number that is too small."""
-        for name in ("seed", "count", "episodes"):
-            if getattr(self, name) < 0:
-                raise InputError(f"--{name} {getattr(self, name)} is too small: choose 0 or more")
+    # Of pick_place.py --record or sweep.py --keep-records; or folders.
+    records: list[Path] = field(default_factory=list)
+    out: Path = Path("outputs/campaigns/stl")
 
 
 def random_formula(rng: np.random.Generator, depth: int, past: bool) -> str:
@@ -155,53 +150,53 @@ def record_agrees(signals: np.ndarray, time: np.ndarray, outcome: dict) -> str |
     return None if found == said else f"by the requirements {found}, by the scoring {said}"
 
 
-def episodes(seed: int, count: int) -> Iterator[tuple[str, str | None]]:
-    """A key and what is wrong, of each episode."""
+def episode_agrees(scene: int, kind: str) -> str | None:
+    """What is wrong in an episode of the shipped LSTM; None: nothing."""
     from diagrams.episodes.calibration import Controller, policy_file
     from diagrams.episodes.runner import Job, run_episode
-    from diagrams.episodes.sampling import episode_seeds
     from diagrams.world.configuration import World
     from diagrams.world.names import ENCODER, WEIGHTS
 
-    world, controller = World(), Controller(policy_file(WEIGHTS, "lstm"))
-    for number, scene in enumerate(episode_seeds("validation", seed, count)):
-        kind = KINDS[number % len(KINDS)]
-        outcome, record = run_episode(Job(world, WEIGHTS / ENCODER, controller, scene, kind))
-        yield f"episode {kind} {scene}", record_agrees(record.signals, record.time, outcome.to_dict())
+    job = Job(World(), WEIGHTS / ENCODER, Controller(policy_file(WEIGHTS, "lstm")), scene, kind)
+    outcome, record = run_episode(job)
+    return record_agrees(record.signals, record.time, outcome.to_dict())
+
+
+def stored_agrees(path: Path) -> str | None:
+    """What is wrong in a record's file; None: nothing."""
+    from diagrams.episodes.record import load_record
+
+    record, outcome = load_record(path)
+    return record_agrees(record.signals, record.time, outcome)
 
 
 def main(arguments: StlArguments) -> int:
-    """Runs what is missing; returns the exit code."""
-    arguments.check()
-    require("rtamt", extra="dev")
+    """Runs what is missing, and the records; returns the exit code."""
     from diagrams.episodes.fingerprint import code_hash
-    from diagrams.episodes.record import find_records, load_record
+    from diagrams.episodes.record import find_records
+    from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
     from diagrams.episodes.store import RowStore
 
-    own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
-    identity = {"seed": arguments.seed, "code": code_hash(), "campaign": own}
-    formulas = [f"formula {number}" for number in range(arguments.count)]
-    records = find_records(arguments.records)
-    asked: list[str] = []
-    with RowStore(arguments.out / "stl.jsonl", identity) as store:
-        missing = [(n, key) for n, key in enumerate(formulas) if key not in store.rows]
-        for number, key in tqdm(missing, unit="formula", disable=None):
-            store.add(key, formula_agrees(arguments.seed, number))
-        asked += formulas
-        whole = f"{arguments.episodes} episodes"
-        if whole not in store.rows and arguments.episodes:
-            found = {}
-            for key, wrong in tqdm(
-                episodes(arguments.seed, arguments.episodes), total=arguments.episodes, unit="episode", disable=None
-            ):
-                found[key] = wrong
-                store.add(key, wrong)
-            store.add(whole, list(found))
-        asked += store.rows.get(whole, [])
-        for path in tqdm(records, unit="record", disable=None):
-            record, outcome = load_record(path)
-            store.add(str(path), record_agrees(record.signals, record.time, outcome))
-        asked += map(str, records)
+    require_numbers(arguments, {"seed": (0, SEED_BLOCKS - 1), "count": (0, 10**6), "episodes": (0, SEEDS_APART)})
+    try:
+        import rtamt  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            f"RTAMT cannot be imported ({error}): pip install -e '.[dev]' with Python 3.11 or 3.12"
+        ) from error
+    cases: dict[str, Callable[[], str | None]] = {
+        f"formula {number}": partial(formula_agrees, arguments.seed, number) for number in range(arguments.count)
+    }
+    scenes = episode_seeds("validation", arguments.seed, arguments.episodes) if arguments.episodes else []
+    for scene, kind in zip(scenes, itertools.cycle(KINDS)):
+        cases[f"episode {kind} {scene}"] = partial(episode_agrees, scene, kind)
+    records = {str(path): partial(stored_agrees, path) for path in find_records(arguments.records)}
+    made_with = {"seed": arguments.seed, "code": code_hash("tests/campaigns/stl.py")}
+    with RowStore(arguments.out / "stl.jsonl", made_with) as store:
+        missing = {key: case for key, case in cases.items() if key not in store.rows}
+        for key, case in tqdm((missing | records).items(), unit="case", disable=None):
+            store.add(key, case())
+        asked = [*cases, *records]
         wrong = {key: store.rows[key] for key in asked if store.rows[key] is not None}
     for key, words in wrong.items():
         print(f"{key}: {words}")

@@ -7,8 +7,8 @@ import pytest
 
 from models.command_line import ROOT
 from models.errors import InputError
-from tests.campaigns import forked
-from tests.campaigns.forked import Case, Special, accept, answer
+from tests.campaigns import fuzz_case
+from tests.campaigns.fuzz_case import Answer, Case, Special, accept, answer
 
 FUZZ = ROOT / "tests" / "campaigns" / "fuzz.py"
 
@@ -16,7 +16,7 @@ FUZZ = ROOT / "tests" / "campaigns" / "fuzz.py"
 @pytest.fixture(autouse=True)
 def memory_of_this_process(monkeypatch):
     """A fork has all that the process of the suite has, which may be gigabytes."""
-    monkeypatch.setattr(forked, "BYTES", 64 * 1024**3)
+    monkeypatch.setattr(fuzz_case, "BYTES", 64 * 1024**3)
 
 
 def test_a_slice_is_answered_well(tmp_path):
@@ -24,6 +24,35 @@ def test_a_slice_is_answered_well(tmp_path):
     done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True)
     assert done.stdout.splitlines()[-1:] == ["48 of 48 answered well"], done.stdout + done.stderr
     assert done.returncode == 0
+
+
+def test_every_program_and_command_is_fed():
+    from tests.campaigns import fuzz, fuzz_inputs
+    from tests.test_pages import CAMPAIGNS, PROGRAMS, SUBCOMMANDS
+
+    names = {module: name for name, module in fuzz.PROGRAMS.items()}
+    fed = {names[module] for module in PROGRAMS if module not in CAMPAIGNS} - {"analysis", "training"}
+    fed |= {f"{names[module]} {command}" for module, commands in SUBCOMMANDS.items() for command in commands}
+    assert set(fuzz_inputs.programs()) == fed
+
+
+def test_all_cases_of_a_subject_are_run(tmp_path, monkeypatch, capsys):
+    """Also where it takes turns with another one."""
+    from tests.campaigns import fuzz
+
+    class Made:
+        def __init__(self, seed):
+            self.strategies = [None]
+
+        def __getitem__(self, number):
+            return Case("weights a" if number % 3 else "weights b", "teach", [])
+
+    monkeypatch.setattr(fuzz, "Inputs", Made)
+    monkeypatch.setattr(fuzz, "answer", lambda *_: Answer(0, 0.1, 50.0, ""))
+    for name in ("import_all", "leave_work_out"):
+        monkeypatch.setattr(fuzz, name, lambda: None)
+    assert fuzz.main(fuzz.FuzzArguments(count=9, subject="weights a", out=tmp_path)) == 0
+    assert capsys.readouterr().out.endswith("\n6 of 6 answered well\n")
 
 
 def refuses(argv):
@@ -57,7 +86,7 @@ def chats(argv):
 
 
 def silent(argv):
-    print("error: something went wrong", file=sys.stderr)
+    print("error: 5 does not fit that name", file=sys.stderr)
     sys.exit(2)
 
 

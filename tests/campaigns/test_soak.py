@@ -98,10 +98,27 @@ def test_memory_is_to_be_flat_after_a_sixth():
     assert growth([7.0]) == 0.0
 
 
+def test_a_fault_of_the_bench_acts_while_people_go_on(monkeypatch):
+    monkeypatch.setattr(soak, "LEAST_TICKS", 90)
+    row = soak.each_fault(SoakArguments(minutes=1), ("friction",))["faults"]["friction"]
+    assert (row["ticks"], row["diverged"]) == (90, None)
+    assert row["ticks_acted"]
+    assert sum(row["disturbances"].values())
+    assert row["found"] == {"finite": [0], "command": [0], "effort": [0]}
+
+
 ROW = {
     "ticks": 600, "digest": "same", "disturbances": {"held": 20}, "megabytes": [400.0], "p99_ms": 20.0,
     "found": {"finite": [0], "command": [0], "effort": [0]}, "diverged": None, "ticks_picked": 9,
+    "ticks_acted": 3,
 }  # fmt: skip
+
+
+def of_faults(changes):
+    return {"faults": {"payload": ROW, "friction": ROW | changes}}
+
+
+FAULTS = of_faults({})
 SWEEP = {"episodes": 40, "megabytes": [400.0] * 40, "errors": [0]}
 
 
@@ -114,13 +131,17 @@ SWEEP = {"episodes": 40, "megabytes": [400.0] * 40, "errors": [0]}
         ("second run", {"disturbances": {"held": 15}}, "second run: enough disturbances"),
         ("second run", {"found": ROW["found"] | {"effort": [2, "tick 3", "tick 4"]}}, "second run: effort"),
         ("second run", {"megabytes": [400.0, 409.0]}, "second run: memory flat to 2 %"),
+        ("faults", of_faults({"diverged": "tick 1"}), "faults: run to their end"),
+        ("faults", of_faults({"ticks_acted": 0}), "faults: each one acts"),
+        ("faults", of_faults({"found": ROW["found"] | {"effort": [2, "tick 3"]}}), "faults: effort"),
+        ("faults again", of_faults({"digest": "other"}), "the faults are the same"),
         ("sweep", {"megabytes": [*[400.0] * 39, 421.0]}, "sweep: memory flat to 5 %"),
         ("sweep", {"errors": [1, "one"]}, "sweep: no error"),
         ("sweep", {"error": "Traceback"}, "sweep: runs to its end"),
     ],
 )
 def test_what_does_not_hold_is_said(part, changes, broken):
-    rows = {"first run": ROW, "second run": ROW, "sweep": SWEEP}
+    rows = {"first run": ROW, "second run": ROW, "faults": FAULTS, "faults again": FAULTS, "sweep": SWEEP}
     held = judged(SoakArguments(minutes=1), rows | {part: rows[part] | changes})
     assert [name for name, (good, _) in held.items() if not good] == ([broken] if broken else [])
 
@@ -139,7 +160,10 @@ def test_a_part_that_dies_or_raises_is_an_error():
 
 
 def test_finished_parts_are_kept(tmp_path, monkeypatch, capsys):
-    parts = {"first run": lambda _: ROW, "second run": killed, "sweep": lambda _: SWEEP}
+    parts = {
+        "first run": lambda _: ROW, "second run": killed, "faults": lambda _: FAULTS, "faults again": lambda _: FAULTS,
+        "sweep": lambda _: SWEEP,
+    }  # fmt: skip
     monkeypatch.setattr(soak, "PARTS", parts)
     arguments = SoakArguments(minutes=1, out=tmp_path)
     assert main(arguments) == 1
@@ -148,4 +172,4 @@ def test_finished_parts_are_kept(tmp_path, monkeypatch, capsys):
     assert main(arguments) == 0
     words = capsys.readouterr().out
     assert "first run ..." not in words
-    assert words.splitlines()[-1] == "15 of 15 held"
+    assert words.splitlines()[-1] == "26 of 26 held"

@@ -1,16 +1,17 @@
 """A slice of the campaign: our values of random formulas are RTAMT's."""
 
-import importlib.util
+import sys
 
 import numpy as np
 import pytest
 
+from models.errors import InputError
 from tests.campaigns import stl
 from tests.campaigns.stl import StlArguments, formula_agrees, main, record_agrees
 
 try:
     import rtamt
-except ImportError as error:  # from Python 3.12 or 3.13 on its parser's runtime asks for a module that is gone
+except ImportError as error:  # from Python 3.13 on its parser's runtime asks for a module that is gone
     rtamt, REASON = None, f"RTAMT cannot be imported: {error}"
 else:
     REASON = ""
@@ -36,6 +37,13 @@ def test_another_value_is_found_and_told(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.endswith("3 of 3 agree\n")
 
 
+def test_without_rtamt_the_campaign_says_so(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rtamt", None)
+    with pytest.raises(InputError, match=r"RTAMT cannot be imported .*with Python 3.11 or 3.12"):
+        main(StlArguments(count=1, episodes=0, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_record_that_disagrees_is_told():
     signals, time = np.zeros((40, 7)), 0.1 * np.arange(40)
     signals[:, 4:] = 0.05
@@ -52,6 +60,4 @@ def test_a_record_that_disagrees_is_told():
 
 def test_rtamt_is_there_where_its_parser_is():
     """So that the slice is not skipped for ever."""
-    import sys
-
-    assert rtamt is not None or sys.version_info >= (3, 12) or importlib.util.find_spec("rtamt") is None
+    assert rtamt is not None or sys.version_info >= (3, 13)

@@ -5,6 +5,8 @@ import re
 import subprocess
 import tomllib
 
+import pytest
+
 from models.command_line import ROOT
 
 CAMPAIGNS = ROOT / "tests" / "campaigns"
@@ -30,6 +32,28 @@ def test_the_lowest_versions_are_those_of_the_project():
     lines = [line for line in (CAMPAIGNS / "lowest.txt").read_text().splitlines() if not line.startswith("#")]
     assert dict(line.split("==") for line in lines) == lowest_of_project()
     assert len(lines) == len(lowest_of_project()) > 30
+
+
+@pytest.mark.parametrize(("bits", "code", "words"), [("true", 3, "lowest: passed"), ("false", 1, "lowest: FAILED")])
+def test_figures_beyond_their_tolerance_are_no_pass(tmp_path, bits, code, words):
+    """Of environments that are there, made up, in which the suite passes."""
+    made_up = {"python3.11": "true", "lowest/bin/pip": "true"}
+    made_up["lowest/bin/python"] = f"case $1 in *same_bits.py) {bits};; esac"
+    for name, script in made_up.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"#!/bin/sh\n{script}\n")
+        (tmp_path / name).chmod(0o755)
+    given = {"DIR": str(tmp_path), "PYTHON311": str(tmp_path / "python3.11"), "PYTHON313": "/nowhere/python"}
+    done = subprocess.run(
+        [str(CAMPAIGNS / "versions.sh")],
+        env=os.environ | given,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == code, done.stderr
+    assert done.stdout.startswith(words)
 
 
 def test_a_python_that_is_not_there_is_not_called_passed(tmp_path):

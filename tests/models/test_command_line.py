@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -109,6 +110,16 @@ def test_the_parsers_own_exit_is_kept(given):
         sys.exit(given)
 
     assert end_of(lambda _: 0, parse) == {None: 0, "words": 1}.get(given, given)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_what_the_parser_says_in_a_frame_is_one_line(encoding):
+    code = "import tyro\nfrom models.command_line import run\nrun(lambda _: 0, lambda: tyro.cli(int, args=['x']))"
+    surroundings = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=surroundings, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert re.fullmatch(r"error: (Value error; )?Error parsing INT: [^\n]*: 'x'; [^\n]*; [^\n]*--help\n", done.stderr)
+    assert not re.search("---|─|│", done.stderr)
 
 
 def test_a_file_that_can_be_written_is_left_as_it_is(tmp_path):

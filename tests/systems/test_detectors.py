@@ -104,5 +104,5 @@ def test_each_runs_in_the_loop_to_the_same_bits(name, monkeypatch):
 
 @pytest.mark.parametrize(("name", "needed"), [("knn", "angles', 'lengths"), ("subspace", "axes")])
 def test_a_file_with_other_arrays_is_refused(name, needed):
-    with pytest.raises(InputError, match=rf"the detector '{name}' holds \['a'\], where \['{needed}'\] are needed: fit"):
+    with pytest.raises(InputError, match=rf"it holds \['a'\], where \['{needed}'\] are needed: fit it again"):
         DETECTORS[name].build(FakePolicy(), 3, {"a": np.zeros(1)})

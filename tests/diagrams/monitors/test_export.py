@@ -126,7 +126,7 @@ def test_bad_input_is_named(made, tmp_path):
     for more, words in (
         (["--faults", "payload"], "has no such run: ask for other --faults"),
         (["--limit", "0"], "--limit 0 is too small"),
-        (["--check", "0.5"], "--check compares, has no digests .*: export to this --out first"),
+        (["--check", "0.5"], "with which --check compares: export to this --out first"),
     ):
         with pytest.raises(InputError, match=words):
             export(made, tmp_path / "none", *more)
@@ -136,8 +136,10 @@ def test_bad_input_is_named(made, tmp_path):
             export(tmp_path, tmp_path / "none")
     (tmp_path / "deep").mkdir()
     (tmp_path / "deep" / DIGESTS).write_text("[" * 200_000)
-    with pytest.raises(InputError, match="has no digests"):
-        export(made, tmp_path / "deep", "--check", "1")
+    for check in (["--check", "1"], []):  # before a part of it is begun
+        with pytest.raises(InputError, match=r"has no digests .*: delete it"):
+            export(made, tmp_path / "deep", *check)
+    assert [each.name for each in (tmp_path / "deep").iterdir()] == [DIGESTS]
     assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match="was recorded with another episodes"):
         export(made, made / "data", "--limit", "1")

@@ -139,6 +139,8 @@ def test_bad_data_are_named(tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             offline("--data", path, *given)
+    with pytest.raises(InputError, match="--data names no file: give one or more"):
+        offline("--data", *given)
     (tmp_path / "meta").mkdir()
     (tmp_path / "meta" / "info.json").write_text("[" * 200_000)
     with pytest.raises(InputError, match="is no LeRobotDataset, or a damaged one"):

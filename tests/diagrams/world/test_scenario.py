@@ -97,6 +97,7 @@ def test_choices_are_checked(change, named):
         (None, {"initial_joints_deg": [1.0]}, "world.initial_joints_deg has shape"),
         (None, {"opening": 0.02}, "opening 0.02 m do not fit"),
         (None, {"close_below": 0.02}, "close_below 0.02 m and open_above 0.065 m do not fit.*opening 0.08"),
+        (None, {"opening": 1.5}, "opening 1.5 m do not fit: choose 0 <= closed_opening < opening <= 1.0"),
         (None, {"empty_below": 0.03}, "empty_below 0.03 m does not fit.*more than closed_opening 0.03.*or 0"),
         (None, {"empty_below": 0.05}, "empty_below 0.05 m does not fit.*at most close_below 0.045"),
         (None, {"open_above": 0.045}, "open_above 0.045 m do not fit"),

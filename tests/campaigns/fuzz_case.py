@@ -22,8 +22,8 @@ ACCEPTED = 77  # exit code of a case whose input was taken
 SECONDS, BYTES = 10, 2 * 1024**3  # of processor time and of memory that an answer may take
 HANG = 40.0  # s of wall time after which a case hangs; more than SECONDS, for a machine that is busy
 REMEDY = re.compile(
-    r"\b(add|allow|call|change|check|choose|close|delete|expected one of|export|fit|free|give|install|known|leave|let|"
-    r"lower|make|name|pass|perhaps|put|raise|record|remove|run|say|see|start|swap|take|teach|train|try|update|wait|"
+    r"\b(add|allow|call|change|check|choose|close|delete|expected one of|export|fit it|free|give|install|known|leave|"
+    r"let|lower|make|pass|perhaps|put|raise|record|remove|run|say|see|start|swap|take|teach|train|try|update|wait|"
     r"widen|write)\b",
     re.IGNORECASE,
 )
