@@ -72,6 +72,8 @@ def policy_graph(rnn: RecurrentNetwork, recall: RecallHeads | None) -> bytes:
     try:
         model = _export(_Tick(copy.deepcopy(rnn), copy.deepcopy(recall)), inputs, outputs)
     except torch.onnx.OnnxExporterError as error:
+        if isinstance(error.__cause__, MemoryError):  # no fault of the network's
+            raise error.__cause__ from error
         words = " ".join(str(error.__cause__ or error).split())[:300]
         raise InputError(f"the network {rnn.name} cannot be exported as a graph ({words}): see `step`") from error
     parts = {"rnn": rnn} | ({} if recall is None else {"recall": recall})

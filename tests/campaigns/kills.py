@@ -7,7 +7,8 @@ up. It is killed (kill -9 of all its processes), its driver alone, one of its wo
 all of them, as Ctrl-C does at a terminal; SIGTERM to the driver), at a moment drawn evenly from the time that it takes,
 and then started again. Answered well: what it leaves is what an undisturbed run leaves; what was finished on the disk
 is not done again; and for SIGINT and SIGTERM one line that says how to go on, exit code 130 or 143, and no process left
-after --patience seconds, in which waiting for a processor is not counted. The longest is told.
+after --patience seconds, in which waiting for a processor is not counted. The longest is told. A moment at which no
+worker lives, or by which the program has ended, is no kill: another one is drawn, DRAWS times at most.
 """
 
 import functools
@@ -44,8 +45,10 @@ from tests.campaigns.processes import Ended, Forked, run, until  # noqa: E402
 from tests.campaigns.targets import TARGETS  # noqa: E402
 
 Case = tuple[str, str, int]  # program, what befalls it, number
-ENDS = {"int": (signal.SIGINT, 130), "term": (signal.SIGTERM, 143)}
-HOWS = "kill", "driver", "worker", *ENDS
+TOLD = {"int": (signal.SIGINT, 130), "term": (signal.SIGTERM, 143)}  # exit codes
+HOWS = "kill", "driver", "worker", *TOLD
+DRAWS = 10  # moments a case, of which one has to hit something
+MISSED = "hit nothing"
 # What the programs import where they need it: imported once, before they are forked.
 MODULES = {
     "falsify": ("diagrams.drawing.falsification", "optuna", "cmaes"), "defeat": ("diagrams.drawing.defeat",),
@@ -65,7 +68,7 @@ class KillsArguments:
     """Command line of kills.py."""
 
     seed: int = 0  # of the moments
-    count: int = 20  # kills a program; with each signal a quarter as many
+    count: int = 20  # kills a program of each kind; with SIGINT and SIGTERM a quarter as many
     targets: list[Literal[*TARGETS]] = field(default_factory=lambda: [name for name in TARGETS if name != "pick_place"])
     hows: list[Literal[*HOWS]] = field(default_factory=lambda: list(HOWS))
     out: Path = Path("outputs/campaigns/kills")  # folder of kills.jsonl: started again, the campaign goes on
@@ -111,7 +114,8 @@ class Campaign:
         if ends := [seconds for case in cases if (seconds := store.rows[_key(case)].get("seconds")) is not None]:
             print(f"told to end, all processes were gone after {max(ends):.2f} s at most")
         well = sum(store.rows[_key(case)]["wrong"] is None for case in cases)
-        print(f"{well} of {len(cases)} answered well")
+        missed = sum(store.rows[_key(case)]["wrong"] == MISSED for case in cases)
+        print(f"{well} of {len(cases)} answered well" + (f", {missed} {MISSED}" if missed else ""))
         return 0 if well == len(cases) else 1
 
     def undisturbed(self, name: str) -> dict[str, Any]:
@@ -128,13 +132,17 @@ class Campaign:
 
     def case(self, name: str, how: str, number: int, whole: dict[str, Any]) -> str | None:
         """What was wrong in one case; None: nothing."""
-        target, arguments = TARGETS[name], self.arguments
-        out = self.folder / name / f"{how}-{number}"
-        seed = [arguments.seed, list(TARGETS).index(name), HOWS.index(how), number]
-        moment = np.random.default_rng(seed).uniform(0.0, whole["seconds"])
+        seed = [self.arguments.seed, list(TARGETS).index(name), HOWS.index(how), number]
+        moments = np.random.default_rng(seed).uniform(0.0, whole["seconds"], DRAWS)
+        return until_hit(lambda moment: self._at(moment, name, how, number, whole), moments)
+
+    def _at(self, moment: float, name: str, how: str, number: int, whole: dict[str, Any]) -> str | None:
+        target, out = TARGETS[name], self.fresh(name, f"{how}-{number}")
         process = Forked(functools.partial(target.run, self.given, out), self._said(out), self._surroundings(out))
         until(process.poll, moment)
         wrong = self._strike(process, name, how, number)
+        if wrong == MISSED:
+            return wrong
         kept = self._in_process(out, lambda: target.kept(out))
         if isinstance(kept, str):
             return f"what is finished cannot be read after the kill: {kept}"
@@ -153,30 +161,35 @@ class Campaign:
         return wrong
 
     def _strike(self, process: Forked, name: str, how: str, number: int) -> str | None:
-        """Kills the process in the way `how`, unless it has ended; what was wrong with its end."""
-        patience, told = self.arguments.patience, False
-        if how == "kill":
+        """Kills the process in the way `how`; what was wrong with its end, MISSED where nothing was hit."""
+        patience, (told, code) = self.arguments.patience, TOLD.get(how, (signal.SIGKILL, -signal.SIGKILL))
+        if how == "worker":
+            hit = _killed(process.workers()[:1])
+            ended = hit and process.wait(600.0)
             process.kill()
-        elif how == "driver" and not process.poll():
-            os.kill(process.pid, signal.SIGKILL)
-        elif how == "worker":
-            for pid in process.workers()[:1]:
-                os.kill(pid, signal.SIGKILL)
-            if not process.wait(600.0):
-                process.kill()
-                return "it does not end"
-            return None if process.code == 0 else f"exit code {process.code}: {process.ended().err[-600:]}"
-        elif how in ENDS and not process.poll():
-            (os.killpg if how == "int" else os.kill)(process.pid, ENDS[how][0])
-            told = True
+            until(lambda: process.poll() and not process.members(), 10.0)
+            if not hit:
+                return MISSED
+            return _signalled(process.ended(), TARGETS[name].code) if ended else "it does not end"
+        if not process.poll():
+            (os.killpg if how in ("kill", "int") else os.kill)(process.pid, told)
         seconds, left = process.ends_within(patience), process.members()
         process.kill()
         if seconds is None:
             process.wait(10.0)
             return f"{len(left)} processes are left after {patience} s"
-        if told:
+        if process.code == TARGETS[name].code:  # it was at its end
+            return MISSED
+        if how in TOLD:
             self.seconds[name, how, number] = seconds
-        return _signalled(process.ended(), ENDS[how][1]) if how in ENDS else None
+        return _signalled(process.ended(), code)
+
+    def fresh(self, name: str, case: str) -> Path:
+        """The folder of a case, without what an earlier moment left."""
+        out = self.folder / name / case
+        shutil.rmtree(out, ignore_errors=True)
+        self._notes_of(out).unlink(missing_ok=True)
+        return out
 
     def _whole(self, name: str, out: Path) -> Ended:
         return run(functools.partial(TARGETS[name].run, self.given, out), self._said(out), self._surroundings(out))
@@ -194,19 +207,35 @@ class Campaign:
         return out.parent / f"{out.name}.said" / "program"
 
     def _surroundings(self, out: Path) -> dict[str, str]:
-        return {fakes.NOTES: str(out.with_name(f"{out.name}.notes")), "PYTHONPATH": str(ROOT)}
+        return {fakes.NOTES: str(self._notes_of(out)), "PYTHONPATH": str(ROOT)}
+
+    def _notes_of(self, out: Path) -> Path:
+        return out.with_name(f"{out.name}.notes")
 
     def _notes(self, out: Path) -> list[str]:
-        path = out.with_name(f"{out.name}.notes")
+        path = self._notes_of(out)
         return path.read_text().splitlines() if path.exists() else []
 
 
+def until_hit(at: Callable[[float], str | None], moments: Sequence[float]) -> str | None:
+    """What was wrong at the first of `moments` that hits something; else MISSED."""
+    return next((wrong for moment in moments if (wrong := at(moment)) != MISSED), MISSED)
+
+
+def _killed(pids: Sequence[int]) -> bool:
+    """Whether there was a process to kill."""
+    try:
+        return bool([os.kill(pid, signal.SIGKILL) for pid in pids])
+    except ProcessLookupError:
+        return False
+
+
 def _signalled(ended: Ended, code: int) -> str | None:
-    """What is wrong with the end of a program that was told to; one that had ended before is fine."""
-    if ended.code == 0:
-        return None
+    """What is wrong with the end of a program; one that was told to end says how to go on."""
     if ended.code != code:
         return f"exit code {ended.code}, not {code}: {ended.err[-600:]}"
+    if code not in (130, 143):
+        return None
     lines = ended.err.splitlines()
     if len(lines) != 1 or not lines[0].startswith(ENDED) or not ("goes on" in lines[0] or "again" in lines[0]):
         return f"not one line that says how to go on: {ended.err[-600:]}"
@@ -244,7 +273,7 @@ def _run(arguments: KillsArguments, folder: Path, store: RowStore) -> int:
         for name in arguments.targets
         for how in arguments.hows
         if how not in ("driver", "worker") or TARGETS[name].workers
-        for number in range(arguments.count if how == "kill" else -(-arguments.count // 4))
+        for number in range(-(-arguments.count // 4) if how in TOLD else arguments.count)
     ]
     return campaign.work(cases, store, campaign.case)
 

@@ -4,8 +4,9 @@
 
 Every condition of tests/campaigns/conditions.py, and two programs with the same --out, with every program of
 tests/campaigns/targets.py that it concerns, --count times: how full a disk is, or how large a file may be, is drawn.
-Answered well: the program ends as an undisturbed run, or with exit code 2 and lines that all begin with `error:` or
-`warning:`; there is no traceback; and started again on a sound machine it leaves what an undisturbed run leaves.
+Answered well: the program ends as an undisturbed run, or, unless the condition takes nothing from it, with exit code 2
+and lines that all begin with `error:` or `warning:`; there is no traceback; and started again on a sound machine it
+leaves what an undisturbed run leaves.
 """
 
 import functools
@@ -30,8 +31,8 @@ sys.path.insert(0, str(ROOT))
 
 from diagrams.episodes.store import RowStore  # noqa: E402
 from models.command_line import run as run_program  # noqa: E402
-from tests.campaigns.conditions import CONDITIONS, Condition, command, own_mounts  # noqa: E402
-from tests.campaigns.kills import Campaign, store_of  # noqa: E402
+from tests.campaigns.conditions import CONDITIONS, Condition, addresses, command, own_mounts  # noqa: E402
+from tests.campaigns.kills import DRAWS, MISSED, Campaign, store_of, until_hit  # noqa: E402
 from tests.campaigns.processes import Ended, Forked, run  # noqa: E402
 from tests.campaigns.targets import TARGETS  # noqa: E402
 
@@ -55,6 +56,20 @@ class MachineArguments:
 class MachineCampaign(Campaign):
     """The cases."""
 
+    def undisturbed(self, name: str) -> dict[str, Any]:
+        """Also the memory that it takes at most beyond what it begins with, bytes of addresses."""
+        return super().undisturbed(name) | {"memory": int((self.folder / name / "memory").read_text())}
+
+    def _whole(self, name: str, out: Path) -> Ended:
+        def program() -> None:
+            begun = addresses("VmSize")
+            try:
+                TARGETS[name].run(self.given, out)
+            finally:
+                (self.folder / name / "memory").write_text(str(addresses("VmPeak") - begun))
+
+        return run(program, self._said(out), self._surroundings(out))
+
     def case(self, name: str, condition: str, number: int, whole: dict[str, Any]) -> str | None:
         """What was wrong; None: nothing."""
         if condition == TWO:
@@ -74,7 +89,7 @@ class MachineCampaign(Campaign):
         else:
 
             def program() -> None:
-                given.on(whole["largest"], rng)
+                given.on(whole, rng)
                 target.run(self.given, out, stay=condition == "other folder")
 
             ended = run(program, self._said(out), surroundings)
@@ -93,11 +108,14 @@ class MachineCampaign(Campaign):
 
     def of_two(self, name: str, number: int, whole: dict[str, Any]) -> str | None:
         """Two programs with the same --out: the second one says so and leaves, the first one is not disturbed."""
-        target, out = TARGETS[name], self.folder / name / f"two-{number}"
-        moment = np.random.default_rng([self.arguments.seed, number]).uniform(0.2, 0.5) * whole["seconds"]
+        moments = np.random.default_rng([self.arguments.seed, number]).uniform(0.2, 0.5, DRAWS) * whole["seconds"]
+        return until_hit(lambda moment: self._second_at(moment, name, number, whole), moments)
+
+    def _second_at(self, moment: float, name: str, number: int, whole: dict[str, Any]) -> str | None:
+        target, out = TARGETS[name], self.fresh(name, f"two-{number}")
         first = Forked(functools.partial(target.run, self.given, out), self._said(out), self._surroundings(out))
         if first.wait(moment):
-            return None
+            return MISSED
         second = run(functools.partial(target.run, self.given, out), self._said(out).with_name("second"),
                      self._surroundings(out))  # fmt: skip
         first.wait(600.0)
@@ -107,7 +125,9 @@ class MachineCampaign(Campaign):
         for ended in ends:
             if ended.code == 2 and not (ended.err.count("\n") == 1 and "in use by another program" in ended.err):
                 return f"not one line that says so: {ended.err[-600:]}"
-        return None if self._left(name, out) == whole["left"] else f"it leaves something else: see {out}"
+        if self._left(name, out) != whole["left"]:
+            return f"it leaves something else: see {out}"
+        return None if any(ended.code == 2 for ended in ends) else MISSED
 
 
 def _executed(given: Condition, words: list[str], surroundings: dict[str, str]) -> Ended:

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import sysconfig
+import time
 
 import pytest
 
@@ -11,6 +12,7 @@ from diagrams.drawing.graph import graph_program
 from models.command_line import ROOT
 from models.errors import InputError
 from tests.campaigns.conditions import CONDITIONS as ALL
+from tests.campaigns.machine import _executed
 
 SLICE = ["file size", "open files", "name", "two programs"]
 
@@ -31,3 +33,13 @@ def test_no_graphviz_is_without_it(monkeypatch):
     ALL["no Graphviz"].on(0, None)
     with pytest.raises(InputError, match=r"no program `dot`.*: install Graphviz or"):
         graph_program()
+
+
+def test_the_clock_is_set_back_in_workers_too():
+    code = (
+        "import multiprocessing; pool = multiprocessing.get_context('spawn').Pool(1); "
+        "print(*(f('__import__(\"time\").time()') for f in (eval, lambda text: pool.apply(eval, (text,)))))"
+    )
+    ended = _executed(ALL["clock back"], [sys.executable, "-c", code], dict(os.environ))
+    back = [time.time() - float(word) for word in ended.out.split()]
+    assert back == pytest.approx([86400.0, 86400.0], abs=600.0)

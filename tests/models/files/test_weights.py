@@ -181,6 +181,15 @@ def test_a_network_that_cannot_be_exported_is_refused() -> None:
         policy_graph(Choosy(), None)
 
 
+def test_too_little_memory_is_no_fault_of_the_network() -> None:
+    class Large(Elman):
+        def step(self, x: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            raise MemoryError("std::bad_alloc")
+
+    with pytest.raises(MemoryError, match="bad_alloc"):
+        policy_graph(Large(), None)
+
+
 def test_a_folder_is_no_weight_file(tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="is a folder, a pipe or a device"):
         file_hash(tmp_path)
