@@ -104,7 +104,7 @@ def require_whole(path: str | Path, file: h5py.File) -> None:
         return name if isinstance(found, h5py.Dataset) and (found.is_virtual or found.external) else None
 
     if name := file.id.links.visit(outside, info=True) or file.visititems(outside_too):
-        raise DatasetError(f"{path}: {name} lies in another file: copy it into this one")
+        raise DatasetError(f"{path}: {name} lies in another file: put it into this one")
 
 
 @contextmanager

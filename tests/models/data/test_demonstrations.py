@@ -199,7 +199,7 @@ def test_what_lies_in_another_file_is_refused_unread(data_file: Path, tmp_path: 
     with h5py.File(path, "a") as file:
         del file[name]
         elsewhere(file, name, str(tmp_path / "pipe"))
-    with pytest.raises(DatasetError, match=rf"d\.h5: {name} lies in another file: copy it into this one"):
+    with pytest.raises(DatasetError, match=rf"d\.h5: {name} lies in another file: put it into this one"):
         read(path)
 
 
