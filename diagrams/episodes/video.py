@@ -6,6 +6,8 @@ from pathlib import Path
 
 import cv2
 
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it warns of each lost frame; here it is said once
+
 
 def save_video(writer, made: Path, frames: int, path: Path) -> None:
     """Ends Drake's VideoWriter `writer`, whose file `made` becomes `path`.

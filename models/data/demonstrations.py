@@ -1,5 +1,6 @@
 """Reads the teacher's data set (HDF5, robomimic layout) and cuts it into subtask sequences."""
 
+import errno
 import hashlib
 import itertools
 import json
@@ -14,6 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from models.command_line import REMEDIES
 from models.errors import InputError
 from models.policy import PICTURE
 
@@ -71,7 +73,9 @@ def hdf5_errors(path: str | Path, verb: str, remedy: str, damaged: str) -> Itera
     try:
         yield
     except OSError as error:
-        wrong = f"cannot be {verb} ({os.strerror(error.errno or 0)}): {remedy}"
+        number = error.errno or 0
+        helps = REMEDIES[number] if number == errno.EFBIG else remedy  # of which no other place is free
+        wrong = f"cannot be {verb} ({os.strerror(number)}): {helps}"
         if isinstance(error, BlockingIOError) or "already open" in str(error):
             wrong = f"is in use by another program: wait for its end, or {remedy}"
         elif not error.errno:

@@ -36,7 +36,7 @@ class Checkpoint:
         self.done = done
 
     def load(self) -> int:
-        """The updates done so far; 0 without a file. A weight file that should be there and is not is written."""
+        """The updates done so far; 0 without a file."""
         remove_left_parts(self.path)
         if not self.path.exists():
             return 0
@@ -62,11 +62,14 @@ class Checkpoint:
                 _require_moments(parameter, moments)
         except Exception as error:  # whatever strange content may raise
             raise self._unusable(f"does not fit the network ({' '.join(str(error).split())[:200]})") from error
+        return self.done
+
+    def export_missing(self) -> None:
+        """Writes the weight file of what was loaded, where it should be there and is not."""
         due = self.done % self.made_with["checkpoint_every"] == 0 or self.done == self.training.steps
         path = self.training.weight_file(self.done)
-        if due and path is not None and not path.is_file():
+        if self.done and due and path is not None and not path.is_file():
             self.training.export(path, self.done)
-        return self.done
 
     def diverged(self, what: str) -> InputError:
         """The error for a training that left the finite numbers."""

@@ -171,8 +171,10 @@ def _fit(training: Training, options: Any, made_from: dict[str, str], name: str,
     checkpoint = Checkpoint(options.out / f"{name}.ckpt", training, optimizer, options.as_metadata() | made_from)
     log, validation_log = (options.out / f"{name}{ending}.csv" for ending in ("", "-validation"))
     start, steps = checkpoint.load(), training.steps
-    # Both are looked at before one is changed.
-    for path, length in [(path, _kept_rows(path, start)) for path in (log, validation_log) if path.exists()]:
+    # Both are looked at before anything is changed.
+    kept = [(path, _kept_rows(path, start)) for path in (log, validation_log) if path.exists()]
+    checkpoint.export_missing()
+    for path, length in kept:
         with naming(path):
             os.truncate(path, length)
     if start == steps:

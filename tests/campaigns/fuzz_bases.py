@@ -50,6 +50,9 @@ RNN = [
     "tests.models.outside:Elman",
     "--steps", "4", "--batch-size", "2", "--checkpoint-every", "2", "--validate-every", "2",
 ]  # fmt: skip
+CAE = [
+    "cae", "--data", "demos.h5", "--out", "out", "--max-images", "8", "--batch-size", "2", "--checkpoint-every", "2",
+]  # fmt: skip
 RECALL = [
     "recall", "--policy", "rnn-4.onnx", "--data", "demos.h5", "--encoder", "weights/encoder.onnx", "--out", "out",
     "--steps", "4", "--batch-size", "2", "--hidden", "4", "--horizon", "3",
@@ -64,7 +67,7 @@ class Bases:
     demos: bytes
     candidate: bytes  # rnn-4.onnx of `training rnn`
     policy: bytes  # policy-4.onnx of `training recall`
-    training: dict[str, bytes]  # of a broken-off `training rnn`
+    trainings: dict[str, dict[str, bytes]]  # broken off, by what they train: out/NAME
     autoencoder: bytes
     record: bytes
     sweep: dict[str, bytes]
@@ -115,9 +118,13 @@ def _make(folder: Path) -> Bases:
     train(parse_training(RECALL))
     policy = (folder / "out" / "policy-4.onnx").read_bytes()
     shutil.rmtree(folder / "out")
-    train(parse_training([*RNN, "--steps", "2"]))
-    _relabel(folder / "out" / "rnn.ckpt")
-    training = {f"out/{path.name}": path.read_bytes() for path in (folder / "out").iterdir()}
+    trainings = {}
+    for argv, length, whole in ((CAE, "max_images", 8), (RNN, "steps", 4), (RECALL, "steps", 4)):
+        train(parse_training([*argv, f"--{length.replace('_', '-')}", str(whole // 2)]))
+        _relabel(next((folder / "out").glob("*.ckpt")), length, whole)
+        left = (path for path in sorted((folder / "out").iterdir()) if path.suffix not in (".onnx", ".safetensors"))
+        trainings[argv[0]] = {f"out/{path.name}": path.read_bytes() for path in left}
+        shutil.rmtree(folder / "out")
     values = dict.fromkeys(Outcome.__dataclass_fields__)
     values |= {"seed": 3, "disturbance": "B", "detector": "recall", "success": True, "switch_success": True}
     save_record(folder / "B.npz", recorded_run(60), Outcome(**(values | {"weights_hash": policy_hash})))
@@ -126,7 +133,7 @@ def _make(folder: Path) -> Bases:
         demos=(folder / "demos.h5").read_bytes(),
         candidate=(folder / "rnn-4.onnx").read_bytes(),
         policy=policy,
-        training=training,
+        trainings=trainings,
         autoencoder=(folder / "cae.safetensors").read_bytes(),
         record=(folder / "B.npz").read_bytes(),
         sweep=_sweep(folder),
@@ -143,10 +150,10 @@ def _scaling(posture: np.ndarray):
     return MinMaxScaling(posture - 1.0, posture + 1.0)
 
 
-def _relabel(path: Path) -> None:
-    """A checkpoint of 2 updates, as if of a training of 4 that was broken off."""
+def _relabel(path: Path, length: str, whole: int) -> None:
+    """A checkpoint of a short training, as if of a longer one that was broken off."""
     stored = torch.load(path, weights_only=True)
-    stored["made_with"]["steps"] = 4
+    stored["made_with"][length] = whole
     torch.save(stored, path)
 
 

@@ -20,6 +20,7 @@ from typing import NoReturn
 
 ACCEPTED = 77  # exit code of a case whose input was taken
 SECONDS, BYTES = 10, 2 * 1024**3  # of processor time and of memory that an answer may take
+LOADED = 600 * 1024**2  # of BYTES, for what a program imports; the campaign itself, of which a case is a fork, has more
 HANG = 40.0  # s of wall time after which a case hangs; more than SECONDS, for a machine that is busy
 REMEDY = re.compile(
     r"\b(add|allow|call|change|check|choose|close|delete|expected one of|export|fit it|free|give|install|known|leave|"
@@ -99,14 +100,15 @@ def answer(case: Case, main: Callable[[list[str]], NoReturn], folder: Path) -> A
     inside = folder / "here"
     inside.mkdir(parents=True)
     hashes = lay_out(case, inside)
-    before = _listing(inside)
+    before, inherited = _listing(inside), _resident()
     pid = os.fork()
     if not pid:
         _child(case, main, inside, folder)
     status, usage, hung = _wait(pid)
     words = (folder / "stderr").read_text(errors="replace") if (folder / "stderr").exists() else ""
     code = os.waitstatus_to_exitcode(status)
-    found = Answer(code, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, words)
+    taken = (LOADED + 1024 * usage.ru_maxrss - inherited) / 1024**2
+    found = Answer(code, usage.ru_utime + usage.ru_stime, taken, words)
     changed = [n for n, h in hashes.items() if not _same(inside / n, h) and (code == 2 or not n.startswith("out"))]
     left = sorted(_listing(inside) - before) if code == 2 else []
     found.wrong = "hangs" if hung else _wrong(case, found, changed, left)
@@ -164,6 +166,11 @@ def _wait(pid: int) -> tuple[int, resource.struct_rusage, bool]:
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(pid, signal.SIGKILL)  # children of the child
     return status, usage, hung
+
+
+def _resident() -> int:
+    """Bytes of this process that are in the machine's memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _listing(folder: Path) -> set[str]:

@@ -27,6 +27,7 @@ from typing import Any
 import tyro
 from tqdm import tqdm
 
+from models.checks import LARGEST_SEED, require_numbers
 from models.command_line import run
 from models.errors import InputError
 
@@ -48,13 +49,7 @@ class SoakArguments:
     seed: int = 0
     minutes: int = 60  # simulated, of each of two runs that must be the same
     count: int = 2000  # short episodes in one worker
-    out: Path = Path("outputs/soak")
-
-    def check(self) -> None:
-        """Raises InputError for a number that is too small."""
-        for name, least in (("seed", 0), ("minutes", 1), ("count", SAMPLES)):
-            if getattr(self, name) < least:
-                raise InputError(f"--{name} {getattr(self, name)} is too small: choose {least} or more")
+    out: Path = Path("outputs/campaigns/soak")
 
 
 def memory() -> float:
@@ -362,13 +357,12 @@ def _judge_faults(held: dict[str, tuple[bool, str]], name: str, rows: dict[str, 
 
 def main(arguments: SoakArguments) -> int:
     """Runs what is missing; returns the exit code."""
-    arguments.check()
+    require_numbers(arguments, {"seed": (0, LARGEST_SEED), "minutes": (1, 10_000), "count": (SAMPLES, 10**6)})
     from diagrams.episodes.fingerprint import code_hash
     from diagrams.episodes.store import RowStore
 
     identity = {name: value for name, value in dataclasses.asdict(arguments).items() if name != "out"}
-    own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
-    with RowStore(arguments.out / "soak.jsonl", identity | {"code": code_hash(), "campaign": own}) as store:
+    with RowStore(arguments.out / "soak.jsonl", identity | {"code": code_hash("tests/campaigns/soak.py")}) as store:
         for name, part in PARTS.items():
             if name not in store.rows or "error" in store.rows[name]:
                 print(f"{name} ...", flush=True)

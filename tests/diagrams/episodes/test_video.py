@@ -1,10 +1,14 @@
 """The video of a run: whole, or said not to be."""
 
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
 
 from diagrams.episodes.video import save_video
+from models.command_line import ROOT
 
 
 class Writer:
@@ -41,3 +45,20 @@ def test_one_that_is_not_whole_is_refused(tmp_path, cut):
         save_video(writer, made, 12, path)
     assert refused.value.filename == str(path)
     assert not path.exists()
+
+
+def test_lost_frames_are_not_told_one_by_one(tmp_path):
+    code = """
+import resource, sys
+import cv2, numpy as np
+import diagrams.episodes.video
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+writer = cv2.VideoWriter(sys.argv[1], cv2.VideoWriter_fourcc(*"mp4v"), 10, (640, 480))
+frame = np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)
+for _ in range(5):
+    writer.write(frame)
+"""
+    words = [sys.executable, "-c", code, str(tmp_path / "v.mp4")]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "v.mp4").stat().st_size == 20_000

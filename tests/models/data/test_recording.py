@@ -167,6 +167,6 @@ def test_where_a_file_cannot_grow_one_line_says_so_and_what_is_there_stays(tmp_p
     ended = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert ended.returncode == 2, ended.stderr
     assert ended.stderr.startswith(f"error: {path}")
-    assert "File too large" in ended.stderr
+    assert "raise the limit of a file's size (ulimit -f)" in ended.stderr
     assert ended.stderr.count("\n") == 1
     assert record(path, range(5)) == record(tmp_path / "whole.h5", range(5))
