@@ -3,10 +3,12 @@
     python tests/campaigns/cluster.py --seed 0 --count 26
 
 A real scheduler and three workers in other processes, each in a network of its own where this machine allows it (Linux,
-root), run real episodes of 8 s. Case i has fault i of FAULTS, modulo their number, at a moment that `--seed` decides.
-Started again it runs what is missing. Exit code 1: a case was not answered well.
+root), run real episodes of 8 s. Case i has fault i of FAULTS, modulo their number, at a moment that `--seed` decides;
+`--faults` takes the cases of these alone. Started again it runs what is missing. Exit code 1: a case was not answered
+well.
 """
 
+import itertools
 import os
 import signal
 import subprocess
@@ -214,14 +216,23 @@ def run_case(arguments: ClusterArguments, number: int, reference: dict[str, dict
     return {"fault": fault.__name__, "well": well, "words": words, "seconds": round(time.monotonic() - began, 1)}
 
 
+def _asked_for(arguments: ClusterArguments) -> Callable[[int], bool]:
+    """Whether the case of that number has a fault that is asked for."""
+    names = [fault.__name__ for fault in FAULTS]
+    for name in arguments.faults:
+        if name not in names:
+            raise InputError(f"there is no fault '{name}': choose from {', '.join(names)}")
+    return lambda number: names[number % len(names)] in (arguments.faults or names)
+
+
 def main(arguments: ClusterArguments) -> int:
     """Runs the cases that are missing; returns the exit code."""
     require_numbers(arguments, {"seed": (0, SEED_BLOCKS - 1), "count": (1, 10**6)})
+    numbers = list(itertools.islice(filter(_asked_for(arguments), itertools.count()), arguments.count))
     made_with = fingerprint(World(), "diagrams/sweeps", "tests/campaigns", seed=arguments.seed)
     with RowStore(arguments.out / "cases.jsonl", made_with) as store:
         write_authorities(arguments.out)
         reference = here(arguments)
-        numbers = range(arguments.count)
         missing = [number for number in numbers if str(number) not in store.rows]
         for number in tqdm(missing, total=len(numbers), initial=len(numbers) - len(missing), unit="case", disable=None):
             row = run_case(arguments, number, reference)

@@ -30,6 +30,7 @@ class ClusterArguments:
 
     seed: int = 0
     count: int = 26
+    faults: list[str] = field(default_factory=list)  # these alone
     out: Path = Path("outputs/campaigns/cluster")
 
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from models.errors import InputError
 from tests.campaigns import cluster
 from tests.campaigns.cluster_case import Bad, Case, ClusterArguments
 from tests.campaigns.network import Network
@@ -22,6 +23,17 @@ def test_a_worker_with_little_memory(tmp_path, monkeypatch):
     row = cluster.run_case(ClusterArguments(out=tmp_path), cluster.FAULTS.index(cluster.little_memory), {})
     assert row["well"], row["words"]
     assert "may use 0.50 GB of memory" in row["words"]
+
+
+def test_cases_of_one_fault_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(cluster, "here", lambda _: {})
+    monkeypatch.setattr(cluster, "run_case", lambda _, number, __: {"fault": "x", "well": 1, "words": "", "seconds": 0})
+    arguments = ClusterArguments(count=3, faults=["scheduler_restarted", "no_workers"], out=tmp_path)
+    assert cluster.main(arguments) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["4", "12", "17", "3"]
+    arguments.faults = ["rain"]
+    with pytest.raises(InputError, match="there is no fault 'rain': choose from worker_killed"):
+        cluster.main(arguments)
 
 
 @pytest.fixture
