@@ -192,7 +192,7 @@ def most_judged_right(normal: np.ndarray, disturbed: np.ndarray) -> float:
     edges = np.unique(np.concatenate([normal, disturbed]))
     # Beyond all peaks too: a gamma that calls everything normal, or nothing.
     edges = np.concatenate([[0.5 * edges[0]], edges, [2.0 * edges[-1]]])
-    middles = np.sqrt(edges[:-1] * edges[1:])
+    middles = np.maximum(np.sqrt(edges[:-1] * edges[1:]), np.nextafter(edges[:-1], np.inf))  # above the lower one
     right = np.array([np.sum(normal < gamma) + np.sum(disturbed >= gamma) for gamma in middles])
     width = np.where(right == right.max(), edges[1:] / edges[:-1], 0.0)
     return float(middles[np.argmax(width)])

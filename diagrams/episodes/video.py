@@ -6,7 +6,8 @@ from pathlib import Path
 
 import cv2
 
-cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it warns of each lost frame; here it is said once
+# It warns of each lost frame; here it is said once. OpenCV 5 has this elsewhere.
+(cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2).setLogLevel(0)
 
 
 def save_video(writer, made: Path, frames: int, path: Path) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
@@ -149,6 +149,7 @@ def test_most_judged_right_by_hand(normal, disturbed, gamma):
 
 
 @given(PEAKS, PEAKS)
+@example(np.array([1.0, 1e-3]), np.array([1.0, np.nextafter(1e-3, 1.0)]))  # no number lies between these two
 def test_no_other_gamma_judges_more_of_them_right(normal, disturbed):
     def right(gamma):
         return np.sum(normal < gamma) + np.sum(disturbed >= gamma)

@@ -40,7 +40,7 @@ def test_a_script_calls_the_page_with_rounded_numbers(tmp_path):
     record.alpha[3] = 1e-9
     with pytest.raises(InputError, match="KEY runs otherwise now than in "):
         require_same_run(script, record, tmp_path, "KEY")
-    with pytest.raises(InputError, match=r"there is no .*KEY\.js: the bench's own command"):
+    with pytest.raises(InputError, match=r"there is no .*KEY\.js: run the command of the bench again"):
         kept_trace(tmp_path, "KEY")
 
 
