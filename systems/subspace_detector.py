@@ -29,8 +29,10 @@ class SubspaceDetector(WindowDetector):
         if axes.ndim != 3 or not axes.size:
             raise ValueError(f"axes has shape {axes.shape}; it must be (J, w, A), none 0: fit again.")
         gram = axes.swapaxes(1, 2) @ axes
-        if not np.allclose(gram, np.eye(axes.shape[2]), atol=1e-5):
-            raise ValueError(f"axes are not orthonormal (U'U is {gram.round(3).tolist()}): fit again.")
+        off = np.abs(gram - np.eye(axes.shape[2])).max(axis=(1, 2))
+        if not np.all(off <= 1e-5):  # nor where one is not finite
+            joint = int(np.argmax(np.nan_to_num(off, nan=np.inf)))
+            raise ValueError(f"the axes of joint {joint + 1} are not orthonormal (off by {off[joint]:.3g}): fit again.")
         super().__init__(policy, joints=axes.shape[0], window=axes.shape[1])
         self._outside = np.eye(axes.shape[1]) - axes @ axes.swapaxes(1, 2)
 

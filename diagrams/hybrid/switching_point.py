@@ -16,6 +16,7 @@ from diagrams.hybrid.fixed_point import measure_decay, nearest_fixed_point
 from diagrams.world.configuration import World
 from diagrams.world.inverse_kinematics import HandKinematics
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, ENCODER, SPOTS, WEIGHTS
+from diagrams.world.scenario import naming_file
 from diagrams.world.station import PickPlaceStation
 from diagrams.world.task import lifted
 from diagrams.world.trajectory import subtask_commands
@@ -64,7 +65,8 @@ class Linearize(Arguments):
         EpisodeSampler(world).require_reachable(self.can)
         policies = [(path, load_policy(path)) for path in self.policies]
         for path, stored in policies:
-            require_trained_for(world, stored)
+            with naming_file(path, "policy"):
+                require_trained_for(world, stored)
             if stored.encoder_hash != encoder.hash:
                 raise InputError(
                     f"{path} was trained with another encoder than {self.encoder}: give that one with --encoder"

@@ -29,6 +29,7 @@ from diagrams.monitors.fitting import BETA, HELD_OUT
 from diagrams.monitors.tapes import replay
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, ENCODER
+from diagrams.world.scenario import naming_file
 from models.data.runs import SOURCES, Tape, fitted_for, of_policy
 from models.errors import InputError
 from models.files.container import WeightsError, write_bytes
@@ -53,7 +54,8 @@ def load_networks(arguments: BenchArguments, world: World) -> list[Network]:
         require_named(policy, arguments.rnn, path)
         if policy.encoder_hash != encoder_hash:
             raise InputError(f"{path} was trained with another encoder than {ENCODER} beside it: give that one")
-        require_trained_for(world, policy)
+        with naming_file(path, "policy"):
+            require_trained_for(world, policy)
         networks.append(Network(policy.name, seed, folder / policy_name(policy.name, seed), policy))
     return networks
 

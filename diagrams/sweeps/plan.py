@@ -18,6 +18,7 @@ from diagrams.sweeps.task import FILES, Task
 from diagrams.world.configuration import World
 from diagrams.world.faults.registry import is_fault, kind_label, require_kind, require_severity
 from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
+from diagrams.world.scenario import naming_file
 from models.errors import InputError
 from models.networks import network_label
 from models.policy import POLICIES
@@ -134,7 +135,8 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
         hashes[policy.hash] = name
         if policy.encoder_hash not in ({encoder_hash} if spec is None else {encoder_hash, None}):
             raise WeightsError(folder / name, f"was trained with another encoder than {ENCODER}", "Give that one")
-        require_trained_for(world, policy)
+        with naming_file(path, "policy"):
+            require_trained_for(world, policy)
         for detector, gamma in itertools.product(detectors.values(), gammas):
             own = stored_calibration(detector, policy, folder, gamma)
             label = DETECTORS.label(detector)

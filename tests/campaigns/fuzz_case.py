@@ -23,9 +23,9 @@ SECONDS, BYTES = 10, 2 * 1024**3  # of processor time and of memory that an answ
 LOADED = 600 * 1024**2  # of BYTES, for what a program imports; the campaign itself, of which a case is a fork, has more
 HANG = 40.0  # s of wall time after which a case hangs; more than SECONDS, for a machine that is busy
 REMEDY = re.compile(
-    r"\b(add|allow|call|change|check|choose|close|delete|expected one of|export|fit it|free|give|install|known|leave|"
-    r"let|lower|make|pass|perhaps|put|raise|record|remove|run|say|see|start|swap|take|teach|train|try|update|wait|"
-    r"widen|write)\b",
+    r"\b(add|allow|call|change|check|choose|close|delete|expected one of|export|fit again|fit it|free|give|install|"
+    r"known|leave|let|lower|make|pass|perhaps|put|raise|record|remove|run|say|see|start|swap|take|teach|train|try|"
+    r"update|wait|widen|write)\b",
     re.IGNORECASE,
 )
 
