@@ -24,17 +24,18 @@ from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
 import tyro
 from tqdm import tqdm
 
 from models.checks import LARGEST_SEED, require_numbers
 from models.command_line import run
 from models.errors import InputError
+from tests.campaigns.soak_verdict import judged
 
 GAP = (3, 55)  # ticks from one disturbance to the next: more than 1,000 in an hour
 LENGTH = (5, 45)  # ticks that one lasts
-WARM = 1 / 6  # of a part, until its memory is to be flat: ten minutes of an hour
-HOUR_FLAT, SWEEP_FLAT = 0.02, 0.05  # by how much the memory may still grow
 LEAST_TICKS, FAR = 300, 9.0  # of a fault's run; m, from the goal: wherever the hand is
 SHORT = 1.0  # s of a short episode
 SAMPLES = 40  # of the memory in the sweep
@@ -55,12 +56,6 @@ class SoakArguments:
 def memory() -> float:
     """MB of this process that are in the machine's memory."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def growth(measured: list[float]) -> float:
-    """By what share the memory is larger than where it should be flat from on."""
-    flat = measured[max(0, round(WARM * len(measured)) - 1) :]
-    return max(flat) / flat[0] - 1.0
 
 
 class Chance:
@@ -297,64 +292,6 @@ def in_a_process(part: Callable[[SoakArguments], dict[str, Any]], arguments: Soa
     return row or {"error": f"its process ended with {process.exitcode}"}
 
 
-def judged(arguments: SoakArguments, rows: dict[str, dict[str, Any]]) -> dict[str, tuple[bool, str]]:
-    """What is asked for: whether it held, and in words what was found."""
-    held: dict[str, tuple[bool, str]] = {}
-    for name, row in rows.items():
-        if "error" in row:
-            held[f"{name}: runs to its end"] = False, row["error"]
-            continue
-        if "faults" in row:
-            _judge_faults(held, name, row["faults"])
-            continue
-        if name == "sweep":
-            count, *shown = row["errors"]
-            held[f"{name}: no error"] = not count, f"{count} of {row['episodes']} episodes {shown}"
-            flat = SWEEP_FLAT
-        else:
-            held[f"{name}: runs to its end"] = row["diverged"] is None, str(row["diverged"] or f"{row['ticks']} ticks")
-            number, least = sum(row["disturbances"].values()), 1000 * arguments.minutes // 60
-            held[f"{name}: enough disturbances"] = number >= least, f"{number} {row['disturbances']}"
-            _judge_limits(held, name, row["found"])
-            flat = HOUR_FLAT
-        if measured := row["megabytes"]:
-            grown = growth(measured)
-            words = f"{100 * grown:.2f} % from {measured[0]:.0f} MB at first, {measured[-1]:.0f} MB at last"
-            held[f"{name}: memory flat to {100 * flat:.0f} %"] = grown <= flat, words
-    for what, first, second in (("the two runs", "first run", "second run"), ("the faults", "faults", "faults again")):
-        digests = [_digest(rows[name]) for name in (first, second)]
-        same = digests[0] == digests[1] and digests[0] is not None
-        held[f"{what} are the same"] = same, ", ".join(str(digest)[:16] for digest in digests)
-    return held
-
-
-def _digest(row: dict[str, Any]) -> str | None:
-    """Of a long run, or of those of all faults."""
-    if "faults" not in row:
-        return row.get("digest")
-    return hashlib.sha256("".join(each["digest"] for each in row["faults"].values()).encode()).hexdigest()
-
-
-def _judge_limits(held: dict[str, tuple[bool, str]], name: str, found: dict[str, list[Any]]) -> None:
-    for what, (count, *shown) in found.items():
-        held[f"{name}: {what}"] = not count, f"{count} ticks outside {shown}"
-
-
-def _judge_faults(held: dict[str, tuple[bool, str]], name: str, rows: dict[str, dict[str, Any]]) -> None:
-    """As a long run, all faults together; each of them is to have begun."""
-    ended = {kind: row["diverged"] for kind, row in rows.items() if row["diverged"]}
-    held[f"{name}: run to their end"] = not ended, str(ended or f"{sum(row['ticks'] for row in rows.values())} ticks")
-    idle = [kind for kind, row in rows.items() if not row["ticks_acted"]]
-    held[f"{name}: each one acts"] = not idle, ", ".join(idle) or f"{len(rows)} faults"
-    found: dict[str, list[Any]] = {}
-    for kind, row in rows.items():
-        for what, (count, *shown) in row["found"].items():
-            sums = found.setdefault(what, [0])
-            sums[0] += count
-            sums.extend(f"{kind}, {words}" for words in shown)
-    _judge_limits(held, name, found)
-
-
 def main(arguments: SoakArguments) -> int:
     """Runs what is missing; returns the exit code."""
     require_numbers(arguments, {"seed": (0, LARGEST_SEED), "minutes": (1, 10_000), "count": (SAMPLES, 10**6)})
@@ -362,7 +299,10 @@ def main(arguments: SoakArguments) -> int:
     from diagrams.episodes.store import RowStore
 
     identity = {name: value for name, value in dataclasses.asdict(arguments).items() if name != "out"}
-    with RowStore(arguments.out / "soak.jsonl", identity | {"code": code_hash("tests/campaigns/soak.py")}) as store:
+    with RowStore(
+        arguments.out / "soak.jsonl",
+        identity | {"code": code_hash("tests/campaigns/soak.py")},
+    ) as store:
         for name, part in PARTS.items():
             if name not in store.rows or "error" in store.rows[name]:
                 print(f"{name} ...", flush=True)
@@ -370,7 +310,7 @@ def main(arguments: SoakArguments) -> int:
                 if "error" in row:
                     print(row["error"], file=sys.stderr)
                 store.add(name, row)
-        held = judged(arguments, {name: store.rows[name] for name in PARTS})
+        held = judged(arguments.minutes, {name: store.rows[name] for name in PARTS})
         for name in PARTS:
             row = store.rows[name]
             a_tick = f", 99 % of the ticks within {row['p99_ms']:.1f} ms" if "p99_ms" in row else ""

@@ -13,7 +13,8 @@ from diagrams.episodes.sampling import EpisodeSampler
 from diagrams.world.configuration import World
 from diagrams.world.requirements import SIGNALS
 from tests.campaigns import soak
-from tests.campaigns.soak import Chance, Limits, SoakArguments, goes_on, growth, in_a_process, judged, main
+from tests.campaigns.soak import Chance, Limits, SoakArguments, goes_on, in_a_process, main
+from tests.campaigns.soak_verdict import growth, judged
 from tests.diagrams.closed_loop_fakes import FakeEncoder, FakePolicy
 
 EPISODE = Episode(0, (0.555, -0.041), "left")
@@ -142,7 +143,7 @@ SWEEP = {"episodes": 40, "megabytes": [400.0] * 40, "errors": [0]}
 )
 def test_what_does_not_hold_is_said(part, changes, broken):
     rows = {"first run": ROW, "second run": ROW, "faults": FAULTS, "faults again": FAULTS, "sweep": SWEEP}
-    held = judged(SoakArguments(minutes=1), rows | {part: rows[part] | changes})
+    held = judged(1, rows | {part: rows[part] | changes})
     assert [name for name, (good, _) in held.items() if not good] == ([broken] if broken else [])
 
 
