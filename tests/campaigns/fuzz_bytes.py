@@ -2,7 +2,7 @@
 
     python tests/campaigns/fuzz_bytes.py --seed 0 --count 50000
 
-fuzz.py changes whole files and runs whole programs; this one runs the readers alone, thousands of times a second, on
+fuzz.py changes whole files and runs whole programs; this one runs the readers alone, some hundred times a second, on
 bytes that are kept where they reach lines that none did before. Well: what is read, or an InputError that says what to
 do; within 10 s and 2 GiB. Started again with the same --out, readers that are done are left out. What is not answered
 well is kept in OUT/SEED/READER/. Exit code 1: something is not; 2: bad input.
