@@ -1,6 +1,6 @@
 """What the rows of the bench say: a record an episode, detector and recovery; cells of these; tables of the cells."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +29,18 @@ Rows = Mapping[str, dict[str, Any]]
 
 
 def records(
-    off: Sequence[BenchTask], loops: Sequence[BenchTask], rows: Rows, recoveries: Sequence[str], period: float
+    off: Sequence[BenchTask],
+    loops: Sequence[BenchTask],
+    rows: Rows,
+    recoveries: Sequence[str],
+    period: float,
+    acting: Collection[str] | None = None,
 ) -> list[Record]:
     """One for each detector, recovery and episode with the detector off; not of void ones, nor of those with an error.
 
-    An episode in which a detector does not alarm is that with the detector off. `period`: of the ticks, s.
+    An episode in which a detector does not alarm is that with the detector off. `period`: of the ticks, s. Of
+    detectors that are not in `acting` (None: all are) nobody knows what comes of it: `success`, `lost_s` and `label`
+    are None.
     """
     acted = {(t.rnn, t.training_seed, t.kind, t.severity, t.seed, t.detectors[0].label, t.recovery): t for t in loops}
     found = []
@@ -60,6 +67,7 @@ def records(
                     continue
                 said, onset = row["detectors"][scored.label], row["onset"]
                 acts = (*episode, scored.label, recovery) in acted
+                known = acting is None or scored.label in acting
                 needless = acts and never and own[0]
                 found.append(
                     {
@@ -77,38 +85,46 @@ def records(
                         "ticks": row["ticks"],
                         "length_s": row["ticks"] * period,
                         "needed": not never,
-                        "success": own[0],
-                        "oracle_success": oracle[0],
-                        "lost_s": max(own[1] - row["ticks"] * period, 0.0) if needless else 0.0,
+                        "success": own[0] if known else None,
+                        "oracle_success": oracle[0] if acting is None or ORACLE in acting else None,
+                        "lost_s": (max(own[1] - row["ticks"] * period, 0.0) if needless else 0.0) if known else None,
                         "peaks": said["peaks"],
                         "weights_hash": task.weights_hash,
                         "off": task.key,
                         "acts": acts,
+                        "label": None,
                     }
                 )
-    for record, label in zip(found, labels(monitored(found)).tolist() if found else (), strict=True):
+    looped = [record for record in found if record["success"] is not None]
+    for record, label in zip(looped, labels(monitored(looped)).tolist() if looped else (), strict=True):
         record["label"] = label
     return found
 
 
 def monitored(found: Sequence[Record]) -> Monitored:
-    """The arrays that the metrics are of; the scores cut at the shortest of these runs."""
+    """The arrays that the metrics are of, of detectors that all act, or none; the scores cut at the shortest run."""
     shortest = min((record["ticks"] for record in found), default=0)
 
     def column(name: str, kind: type) -> np.ndarray:
         return np.array([np.nan if record[name] is None else record[name] for record in found], kind)
+
+    def came(name: str) -> np.ndarray | None:
+        return None if any(record[name] is None for record in found) else column(name, bool)
 
     return Monitored(
         scene=column("seed", int), training_seed=column("training_seed", int),
         score=np.array([largest_before(record["peaks"], shortest) for record in found]),
         onset=column("onset_s", float), alarm=column("alarm_s", float), false_alarms=column("false_alarms", int),
         normal_time=column("normal_s", float), length=column("length_s", float), needed=column("needed", bool),
-        success=column("success", bool), oracle_success=column("oracle_success", bool), lost=column("lost_s", float),
+        success=came("success"), oracle_success=came("oracle_success"), lost=column("lost_s", float),
     )  # fmt: skip
 
 
 def cells(found: Sequence[Record]) -> list[Record]:
-    """One for each detector, fault, severity and recovery, in the order of the records: FIELDS, see `measured`."""
+    """One for each detector, fault, severity and recovery, in the order of the records: FIELDS, see `measured`.
+
+    Of a detector that does not act in closed loop what is of the loop is None.
+    """
     return [_cell(own, base) for own, base in _groups(found, CELL, found)]
 
 
@@ -139,13 +155,17 @@ def _groups(
 def _cell(own: list[Record], base: list[Record]) -> dict[str, Any]:
     alone, together = measured(monitored(own)), measured(monitored([*own, *base]))
     labelled = {name: own[0][name] for name in CELL} | {"n": len(own)}
-    return labelled | {name: (together if name in NOTICED else alone)[name] for name in FIELDS}
+    return labelled | {name: (together if name in NOTICED else alone).get(name) for name in FIELDS}
 
 
 def worth(found: Sequence[Record]) -> list[Record]:
-    """How often each label of an alarm, or of a silence, and by whether there was a fault, and what came of it."""
+    """How often each label of an alarm, or of a silence, and by whether there was a fault, and what came of it.
+
+    None where the detector does not act in closed loop.
+    """
     return [
-        {name: own[0][name] for name in CELL} | {"labels": contingency(monitored(own))}
+        {name: own[0][name] for name in CELL}
+        | {"labels": None if own[0]["label"] is None else contingency(monitored(own))}
         for own, _ in _groups(found, CELL)
     ]
 
@@ -192,16 +212,17 @@ def text(summary: Mapping[str, Any]) -> str:
     for cell in everything:
         values = "".join(f"{'-' if cell[name] is None else _number(cell[name]['value']):>9s}" for name in COLUMNS)
         lines.append(f"{cell['detector']:{width}s}{cell['recovery']:10s}{cell['n']:6d}{values}")
+    first, acting = recoveries[0], [cell for cell in cells if cell["tasks"] is not None]
+    acts = [name for name in detectors if any(cell["detector"] == name for cell in acting)]
     tasks = {(cell["detector"], cell["recovery"]): with_interval(cell["tasks"]) for cell in everything}
     lines += ["", f"{'tasks done':{width}s}" + "".join(f"{name:>21s}" for name in recoveries)]
-    for detector in detectors:
+    for detector in acts:
         lines.append(f"{detector:{width}s}" + "".join(f"{tasks[detector, name]:>21s}" for name in recoveries))
-    first = recoveries[0]
-    done = {(c["fault"], c["severity"], c["detector"]): c["tasks"]["value"] for c in cells if c["recovery"] == first}
-    lines += ["", f"{'tasks done, ' + first:24s}" + "".join(f"{_short(name):>9s}" for name in detectors)]
+    done = {(c["fault"], c["severity"], c["detector"]): c["tasks"]["value"] for c in acting if c["recovery"] == first}
+    lines += ["", f"{'tasks done, ' + first:24s}" + "".join(f"{_short(name):>9s}" for name in acts)]
     for fault, severity in dict.fromkeys(key[:2] for key in done):
         name = fault if severity is None else f"{fault} {severity:g}"
-        shares = (done.get((fault, severity, detector)) for detector in detectors)
+        shares = (done.get((fault, severity, detector)) for detector in acts)
         lines.append(f"{name:24s}" + "".join(f"{'-' if s is None else _number(s):>9s}" for s in shares))
     lines += ["", "All with 95 % intervals over scenes, fault by fault: summary.json."]
     return "\n".join(lines)

@@ -4,7 +4,7 @@ import pytest
 
 from diagrams.episodes.calibration import Calibration
 from diagrams.monitors.bench_plan import BenchArguments, in_loop
-from diagrams.monitors.bench_table import cells, pooled, records, worth
+from diagrams.monitors.bench_table import cells, pooled, records, text, worth
 from diagrams.monitors.bench_task import BenchTask, Scored
 from diagrams.world.configuration import World
 
@@ -63,6 +63,29 @@ def test_labels(found):
     counted = next(w for w in worth(found) if (w["detector"], w["fault"]) == ("speed", "A"))["labels"]
     assert counted["disturbed failure"] == {"needed": 1, "late": 1, "harmful miss": 1}
     assert not counted["disturbed success"]
+
+
+def test_a_detector_that_does_not_act_has_what_is_noticed_alone(found):
+    """Cells, labels and table; all else is as where it acts, the oracle stays, and without it nobody's gap is known."""
+    off, rows = [task for (task, _), *_ in WORKED], {task.key: row for (task, row), *_ in WORKED}
+    arguments = BenchArguments(detectors=["speed"], recoveries=["hold"], loop=["never"])
+    assert not [loop for (task, row), *_ in WORKED for loop in in_loop(arguments, task, row)]
+    alone = records(off, [], rows, ["hold"], 0.1, arguments.acting)
+    for cell, whole in zip(cells(alone), cells(found), strict=True):
+        unknown = {"gap_closed"}
+        if cell["detector"] != "never":
+            unknown |= {"tasks", "seconds_lost", "net_benefit"}
+        assert {name for name in unknown if cell[name] is not None} == set()
+        assert {n: v for n, v in cell.items() if n not in unknown} == {
+            n: v for n, v in whole.items() if n not in unknown
+        }
+    assert {entry["detector"]: entry["labels"] is None for entry in worth(alone)} == {
+        "never": False, "oracle": True, "speed": True,
+    }  # fmt: skip
+    words = text({"cells": cells(alone), "pooled": pooled(alone)})
+    assert [line.split()[0] for line in words.splitlines() if line].count("speed") == 1  # not among the tasks done
+    acting = BenchArguments(detectors=["speed"], recoveries=["hold"], loop=["speed"])
+    assert acting.acting == {"never", "oracle", "speed"}
 
 
 def values(cell):
