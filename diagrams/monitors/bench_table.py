@@ -153,9 +153,10 @@ def _groups(
 
 
 def _cell(own: list[Record], base: list[Record]) -> dict[str, Any]:
-    alone, together = measured(monitored(own)), measured(monitored([*own, *base]))
+    alone = measured(monitored(own), [name for name in FIELDS if name not in NOTICED])
+    together = measured(monitored([*own, *base]), NOTICED)
     labelled = {name: own[0][name] for name in CELL} | {"n": len(own)}
-    return labelled | {name: (together if name in NOTICED else alone).get(name) for name in FIELDS}
+    return labelled | {name: (together | alone).get(name) for name in FIELDS}
 
 
 def worth(found: Sequence[Record]) -> list[Record]:
