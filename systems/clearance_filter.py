@@ -23,6 +23,7 @@ class Near:
     distances: np.ndarray  # (n,) m; negative: so deep in each other
     jacobians: np.ndarray  # (n, J) their derivatives by the joint angles, m/rad
     pairs: np.ndarray  # (n,) numbers that tell one pair from another
+    margins: np.ndarray  # (n,) m: to be kept beyond the gap, since one of the two may not be just where it is taken to be
 
 
 class View(Protocol):
@@ -64,8 +65,8 @@ class ClearanceFilter(LeafSystem):
         obstacles: what `Map.view` is told; only where the map asks for it.
     Outputs:
         filtered_posture: (M,) m_k + dm' with the dm' nearest to dm such that for every pair of bodies at the distance d
-            within WITHIN, d + grad d . dm' - gap >= (1 - rate) (d - gap): a discrete barrier function (Agrawal and
-            Sreenath, RSS 2017). The other components pass.
+            within WITHIN, d + grad d . dm' - g >= (1 - rate) (d - g), g the gap and the pair's margin: a discrete
+            barrier function (Agrawal and Sreenath, RSS 2017). The other components pass.
         clearance: (1,) m, the smallest distance at m_k, at most WITHIN; computed only where it is pulled.
 
     Where no dm' does, since something pushes from the other side, the nearest one by which no pair within the gap comes
@@ -153,7 +154,7 @@ class ClearanceFilter(LeafSystem):
 
     def _kept_away(self, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`step` (J,) where it keeps the distances, else the one nearest to it that does; see the class."""
-        bound = -self._rate * (near.distances - self._gap)
+        bound = -self._rate * (near.distances - self._gap - near.margins)
         if np.all(near.jacobians @ step >= bound):
             return step
         lower = np.maximum(-self._max_step, np.minimum(self._lower[: self._joints] - joints, 0.0))

@@ -24,7 +24,7 @@ class Walls:
     def near(self, joints, within):
         distances = self.normals @ joints - self.offsets
         seen = distances < within
-        return Near(distances[seen], self.normals[seen], np.flatnonzero(seen))
+        return Near(distances[seen], self.normals[seen], np.flatnonzero(seen), np.zeros(sum(seen)))
 
     def nearest(self, joints, within, but):
         near = self.near(joints, within)
@@ -42,7 +42,7 @@ class Post(Walls):
         length = np.linalg.norm(joints)
         if length - self.radius >= within:
             return super().near(joints, within)
-        return Near(np.array([length - self.radius]), joints[None] / length, np.zeros(1, int))
+        return Near(np.array([length - self.radius]), joints[None] / length, np.zeros(1, int), np.zeros(1))
 
 
 class ToldWall(Walls):
