@@ -23,7 +23,9 @@ class Near:
     distances: np.ndarray  # (n,) m; negative: so deep in each other
     jacobians: np.ndarray  # (n, J) their derivatives by the joint angles, m/rad
     pairs: np.ndarray  # (n,) numbers that tell one pair from another
-    margins: np.ndarray  # (n,) m: to be kept beyond the gap, since one of the two may not be just where it is taken to be
+    margins: (
+        np.ndarray
+    )  # (n,) m: to be kept beyond the gap, since one of the two may not be just where it is taken to be
 
 
 class View(Protocol):

@@ -29,6 +29,15 @@ def test_barrier_by_hand():
     )
 
 
+def test_a_margin_is_kept_beyond_the_gap_and_the_proof_does_without():
+    # 0.07 beyond gap and margin: 0.3 of that. The margin itself may be lost where a step is farther than what is seen.
+    np.testing.assert_allclose(
+        filtered(Walls(AHEAD, margin=0.02), [0.0, 0.0], [0.08, 0.05]), [0.021, 0.05, 0.08], atol=1e-6
+    )
+    step = filtered(Walls(AHEAD, margin=0.02), [-0.1, 0.0], [0.3, 0.0])[0] + 0.1
+    assert 0.2 - LEAST - 1.1e-4 < step < 0.2 - LEAST + 1e-9
+
+
 def test_nearer_than_the_gap_it_is_pushed_back():
     # 4 mm before the wall: 6 mm below the gap, 0.3 of them a tick.
     np.testing.assert_allclose(filtered(Walls(AHEAD), [0.096, 0.0], [0.12, 0.0])[0], 0.096 - 0.0018, atol=1e-6)
