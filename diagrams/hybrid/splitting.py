@@ -14,7 +14,7 @@ generalized splitting method", Statistics and Computing 22, 2012, who do the sam
 
 Ties: above means strictly above. Where several points share the level that would part them, they stay or go together,
 as is nearer to `kept`. Where the whole population of a pilot has one level short of the target, its levels end there, as
-they do once what is above them is as rare as is asked for.
+once what is above them is as rare as is asked for.
 """
 
 from collections.abc import Callable, Sequence
