@@ -13,7 +13,7 @@ are given the estimate is unbiased, whatever the moves (Botev and Kroese, "Effic
 generalized splitting method", Statistics and Computing 22, 2012, who do the same).
 
 Ties: above means strictly above. Where several points share the level that would part them, they stay or go together,
-as is nearer to `kept`. A pilot whose whole population has one level short of the target ends its levels there, as it does
+as is nearer to `kept`. A pilot whose whole population has one level short of the target ends its levels there, and also
 once what is above them is as rare as is asked for.
 """
 
