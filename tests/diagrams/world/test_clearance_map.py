@@ -68,6 +68,13 @@ def test_a_held_can_is_where_it_was_grasped(possible, hand, station):
     assert nearest(possible, joints, OPEN, within=0.1) == pytest.approx(0.0135, abs=0.002)
 
 
+def test_a_held_can_alone_may_have_slid(possible, hand, station):
+    joints = hand.solve_ik(station.spot("left") + [0, 0, 0.04])
+    margins = possible.view(np.append(joints, CLOSED), NOTHING).near(joints, WITHIN).margins
+    assert set(margins) == {0.0, WORLD.clearance.slip}
+    assert not possible.view(np.append(joints, OPEN), NOTHING).near(joints, WITHIN).margins.any()
+
+
 def test_a_can_may_stand_wherever_one_may(possible, hand, station):
     centre = np.array([*np.mean(WORLD.grid.bounds, axis=0), CAN_HALF_HEIGHT])
     above = hand.solve_ik(centre + [0, 0, CAN_HALF_HEIGHT + 0.10])
