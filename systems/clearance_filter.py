@@ -77,8 +77,8 @@ class ClearanceFilter(LeafSystem):
     nearer; where the solver fails, 0. The gradient sees a step's beginning only. So the straight line from m_k to the
     command is proven by conservative advancement: a distance d frees it for d / sum_j reach_j |dm'_j|; what cannot be
     proven to stay `least` away, or PRESENT of the present distance where that is less, is cut off. Two bodies that
-    overlap already are pushed apart, and have no say in the proof. The arm follows the command with a lag, in some
-    joints more than in others, and leaves that line: so after a way s of its fastest point lag . s more is to be kept.
+    overlap already are pushed apart, and have no say in the proof. How near the arm itself comes, which follows the
+    command with a lag, is measured.
 
     Direct feedthrough, no state. No AutoDiff: the minimum is not differentiable where a pair begins to matter, and
     signed distances between a cylinder and most shapes have none in Drake.
@@ -96,7 +96,6 @@ class ClearanceFilter(LeafSystem):
         gap: float = 0.01,
         least: float = 0.005,
         rate: float = 0.3,
-        lag: float = 0.05,
         learned_motion: bool = False,
     ):
         """
@@ -108,7 +107,6 @@ class ClearanceFilter(LeafSystem):
             gap: distance that the arm keeps, m.
             least: distance that the straight line to each command is proven to keep, m.
             rate: share of the distance above `gap` by which a tick may come nearer, in (0, 1].
-            lag: by how much the arm leaves the straight line to the command, of the way of its fastest point.
             learned_motion: filter the learned motion too.
         """
         super().__init__()
@@ -117,7 +115,7 @@ class ClearanceFilter(LeafSystem):
         self._lower, self._upper = require_bounds("lower", lower, "upper", upper, size)
         self._max_step = require_vector("max_step", max_step, joints, minimum=0.0)
         self._gap, self._least = require_positive("gap", gap), require_positive("least", least)
-        self._rate, self._lag = require_positive("rate", rate), float(require_vector("lag", [lag], 1, minimum=0.0)[0])
+        self._rate = require_positive("rate", rate)
         if not least < gap < WITHIN or rate > 1.0:
             raise ValueError(
                 f"least is {least}, gap {gap} and rate {rate}; needed is least < gap < {WITHIN} and rate <= 1: pass "
@@ -181,16 +179,15 @@ class ClearanceFilter(LeafSystem):
 
     def _proven(self, view: View, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`step` (J,) where all of it is proven to keep the least distance, else the part of it that is."""
-        travel = max(float(self._map.reach @ np.abs(step)), 1e-12)  # of the arm's fastest point
+        travel = float(self._map.reach @ np.abs(step))  # of the arm's fastest point
         overlapping = near.pairs[near.distances <= 0.0]
         nearest = near.distances[near.distances > 0.0].min(initial=WITHIN)
         least, share = min(self._least, PRESENT * nearest), 0.0
         for _ in range(MOST_PIECES):
-            free = nearest - least - self._lag * share * travel
-            if share and free < RESOLUTION * least:
-                break
-            share += free / ((1.0 + self._lag) * travel)
+            share += (nearest - least) / max(travel, 1e-12)
             if share >= 1.0:
                 return step
             nearest = view.nearest(joints + share * step, WITHIN, but=overlapping)
+            if nearest - least < RESOLUTION * least:
+                break
         return share * step

@@ -202,7 +202,6 @@ def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter
         gap=given.gap,
         least=given.least,
         rate=given.rate,
-        lag=given.lag,
         learned_motion=given.learned_motion,
     )
 

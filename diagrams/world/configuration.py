@@ -104,7 +104,6 @@ class Clearance:
     least: float = 0.005  # distance that the straight line to each command is proven to keep, m
     slip: float = 0.05  # that a can in the hand may have slid in it, m: it is kept so much farther away
     rate: float = 0.3  # share of the distance above the gap that a tick may use up
-    lag: float = 0.05  # by how much the arm leaves the straight line to a command, of the way of its fastest point
     learned_motion: bool = False  # filter the learned motion too
 
 

@@ -13,7 +13,7 @@ from tests.systems.clearance_fakes import Post, ToldWall, Walls, make_filter
 from tests.systems.system_checks import evaluate
 
 AHEAD = ((-1.0, 0.0), -0.1)  # a wall at 0.1 m in the first coordinate
-GAP, LEAST, RATE, LAG = 0.01, 0.005, 0.3, 0.05  # the defaults
+GAP, LEAST, RATE = 0.01, 0.005, 0.3  # the defaults
 
 
 def filtered(walls, posture, desired, alpha=1.0, output="filtered_posture", **changes):
@@ -35,7 +35,7 @@ def test_a_margin_is_kept_beyond_the_gap_and_the_proof_does_without():
         filtered(Walls(AHEAD, margin=0.02), [0.0, 0.0], [0.08, 0.05]), [0.021, 0.05, 0.08], atol=1e-6
     )
     step = filtered(Walls(AHEAD, margin=0.02), [-0.1, 0.0], [0.3, 0.0])[0] + 0.1
-    assert step == pytest.approx((0.2 - LEAST) / (1.0 + LAG), abs=1.1e-4)
+    assert 0.2 - LEAST - 1.1e-4 < step < 0.2 - LEAST + 1e-9
 
 
 def test_a_margin_that_stops_the_arm_is_given_up():
@@ -83,12 +83,10 @@ def test_the_map_is_told_of_obstacles():
 
 def test_a_wall_that_the_gradient_does_not_see_cuts_the_step():
     # At its beginning the wall is 0.2 m away, farther than WITHIN. The arm moves as fast as its reach says, so that the
-    # proof goes up to the least distance itself, and what the lag takes.
-    for lag in (0.0, LAG, 0.5):
-        step = filtered(Walls(AHEAD), [-0.1, 0.0], [0.3, 0.0], lag=lag)[:2] - [-0.1, 0.0]
-        bound = (0.2 - LEAST) / (1.0 + lag)
-        assert bound - 1.1e-4 < step[0] < bound + 1e-9
-        assert step[1] == 0.0
+    # proof goes up to the least distance itself.
+    step = filtered(Walls(AHEAD), [-0.1, 0.0], [0.3, 0.0])[:2] - [-0.1, 0.0]
+    assert 0.2 - LEAST - 1.1e-4 < step[0] < 0.2 - LEAST + 1e-9
+    assert step[1] == 0.0
 
 
 def test_what_overlaps_has_no_say_in_the_proof():
