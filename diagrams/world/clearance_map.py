@@ -186,8 +186,9 @@ def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter
         nearest = (near.distances - near.margins).min(initial=WITHIN)
         if nearest <= given.gap:
             raise InputError(
-                f"world.clearance.gap {given.gap} m: at the initial posture the arm is {nearest:.3f} m from desk, "
-                "shelf, or where a can may stand, and could not come home: choose less, or another posture"
+                f"world.clearance.gap {given.gap} m: at the initial posture the arm, or a can that has slid by "
+                f"{given.slip} m in the hand, may be {nearest:.3f} m from desk, shelf, or where a can may stand, and "
+                "could not come home: choose less, or another posture"
             )
     # A changed step stays where A's targets may be, and a degree within: the servo may overshoot.
     margin = np.append(np.full(ARM_JOINTS, LIMIT_MARGIN + np.deg2rad(1.0)), np.zeros(len(lower) - ARM_JOINTS))

@@ -102,7 +102,7 @@ class Clearance:
     cans: str = "possible"  # one wherever it may stand; known: where they stand; unseen: the way is straight, no filter
     gap: float = 0.01  # distance kept, m
     least: float = 0.005  # distance that the straight line to each command is proven to keep, m
-    slip: float = 0.02  # that a can may have slid in the hand, m: it is kept so much farther away
+    slip: float = 0.05  # that a can in the hand may have slid in it, m: it is kept so much farther away
     rate: float = 0.3  # share of the distance above the gap that a tick may use up
     learned_motion: bool = False  # filter the learned motion too
 

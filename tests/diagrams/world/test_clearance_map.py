@@ -136,7 +136,7 @@ def test_property_no_distance_falls_faster_than_the_reach_says(seed, joint):
     assert len(before) > 20
     for pair in before:
         if before[pair] < WITHIN:
-            error = 1e-4 + 0.02 * before[pair]
+            error = 1e-4 + 0.02 * abs(before[pair])
             assert abs(before[pair] - after[pair]) <= map.reach[joint] * abs(turn) + error
 
 
@@ -249,6 +249,7 @@ def test_the_hand_keeps_away_from_the_arms_own_foot(possible):
 def test_a_gap_that_keeps_the_arm_from_home_is_refused(station, cans):
     own = replace(WORLD, clearance=Clearance(cans=cans, gap=0.13))
     with pytest.raises(
-        InputError, match=r"gap 0\.13 m: at the initial posture the arm is 0\.1\d+ m from desk, .* choose less"
+        InputError,
+        match=r"gap 0\.13 m: at the initial posture the arm, or .* may be 0\.07\d m from desk, .* choose less",
     ):
         clearance_filter(own, station)
