@@ -195,7 +195,10 @@ def _judged(spec: str, detector: System, arm: Arm, uses: dict[str, list[Motion]]
     """What the detector says of the judged runs, and what that is worth."""
     mean = np.vstack([arm.errors(detector, motion) for motion in uses["means"]]).mean(axis=0)
     if not np.all(mean > 0.0):
-        raise NotServed(f"criterion {int(np.argmin(mean)) + 1} has no error at all on runs that did their task")
+        raise NotServed(
+            f"criterion {int(np.argmin(mean)) + 1} has no error at all on runs that did their task (if that is a "
+            "joint that never moves, give fewer --joints)"
+        )
     ratios = {
         use: [(arm.errors(detector, m) / mean).max(axis=1) for m in uses[use]] for use in ("calibration", "judged")
     }
