@@ -1,9 +1,12 @@
 """Registries: the one list of the networks, detectors, policies and faults, by name; open to other packages."""
 
+import hashlib
 import importlib
+import inspect
 import re
 from collections.abc import Iterator
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from models.command_line import EXTRAS
@@ -83,6 +86,12 @@ class Registry(Generic[T]):
     def label(self, spec: str) -> str:
         """The short name of what `spec` names: for file names, tables and pictures."""
         return spec if self._listed(spec) else self[spec].name  # type: ignore[attr-defined]
+
+    def code(self, spec: str) -> str:
+        """SHA-256 (16 hexadecimal digits) of the file of another package's; "" for ours."""
+        if spec in self._entries or spec.partition(":")[0] in self._families:
+            return ""
+        return hashlib.sha256(Path(inspect.getfile(self[spec])).read_bytes()).hexdigest()[:16]  # type: ignore[arg-type]
 
     def _listed(self, spec: str) -> bool:
         return spec in self._entries or spec in self._specs()  # what is installed is read from the disk each time

@@ -14,6 +14,7 @@ WITHIN = 0.15  # m: what is farther has no say in a step; a step that leads beyo
 RESOLUTION = 0.01  # the proof of a step ends where it comes that near to the least distance, in parts of it
 PRESENT = 0.9
 MOST_PIECES = 50  # of one step's proof
+PROGRESS = 0.1  # dm' . dm of dm . dm
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,9 @@ class Near:
     distances: np.ndarray  # (n,) m; negative: so deep in each other
     jacobians: np.ndarray  # (n, J) their derivatives by the joint angles, m/rad
     pairs: np.ndarray  # (n,) numbers that tell one pair from another
+    margins: (
+        np.ndarray
+    )  # (n,) m: to be kept beyond the gap, since one of the two may not be just where it is taken to be
 
 
 class View(Protocol):
@@ -64,8 +68,9 @@ class ClearanceFilter(LeafSystem):
         obstacles: what `Map.view` is told; only where the map asks for it.
     Outputs:
         filtered_posture: (M,) m_k + dm' with the dm' nearest to dm such that for every pair of bodies at the distance d
-            within WITHIN, d + grad d . dm' - gap >= (1 - rate) (d - gap): a discrete barrier function (Agrawal and
-            Sreenath, RSS 2017). The other components pass.
+            within WITHIN, d + grad d . dm' - g >= (1 - rate) (d - g), g the gap and the pair's margin: a discrete
+            barrier function (Agrawal and Sreenath, RSS 2017). Where that dm' makes less than PROGRESS of the way along
+            dm, the margins are given up: they must not keep the arm from home. The other components pass.
         clearance: (1,) m, the smallest distance at m_k, at most WITHIN; computed only where it is pulled.
 
     Where no dm' does, since something pushes from the other side, the nearest one by which no pair within the gap comes
@@ -154,19 +159,22 @@ class ClearanceFilter(LeafSystem):
     def _kept_away(self, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`step` (J,) where it keeps the distances, else the one nearest to it that does; see the class."""
         bound = -self._rate * (near.distances - self._gap)
-        if np.all(near.jacobians @ step >= bound):
-            return step
+        ways = [(bound, -np.inf), (np.minimum(bound, 0.0), -np.inf)]  # 0 keeps the second
+        if near.margins.any():
+            ways.insert(0, (bound + self._rate * near.margins, PROGRESS * (step @ step)))
         lower = np.maximum(-self._max_step, np.minimum(self._lower[: self._joints] - joints, 0.0))
         upper = np.minimum(self._max_step, np.maximum(self._upper[: self._joints] - joints, 0.0))
-        for least in (bound, np.minimum(bound, 0.0)):  # 0 keeps the second
+        for least, progress in ways:
+            if np.all(near.jacobians @ step >= least):
+                return step
             program = MathematicalProgram()
             dm = program.NewContinuousVariables(self._joints)
             program.AddQuadraticErrorCost(np.eye(self._joints), step, dm)
             program.AddBoundingBoxConstraint(lower, upper, dm)
             program.AddLinearConstraint(near.jacobians, least, np.full(len(least), np.inf), dm)
             result = ClarabelSolver().Solve(program)
-            if result.is_success():
-                return result.GetSolution(dm)
+            if result.is_success() and (found := result.GetSolution(dm)) @ step >= progress:
+                return found
         return np.zeros(self._joints)
 
     def _proven(self, view: View, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:

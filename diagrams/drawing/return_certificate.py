@@ -30,7 +30,7 @@ def save_certificate(data: dict[str, Any], path: Path) -> None:
         label = f"{WORDS[kind]} ({len(levels)})"
         right.hist(levels, bins, weights=weights, histtype="step", lw=1.5, color=COLOURS[kind], label=label)
     right.axvline(1.0, color="0.4", ls=":")
-    right.text(0.99, 0.6, "border of the box", rotation=90, ha="right", va="center", fontsize=8, color="0.4",
+    right.text(0.99, 0.8, "border of the box", rotation=90, ha="right", va="center", fontsize=8, color="0.4",
                transform=right.get_xaxis_transform())  # fmt: skip
     right.set(xlabel="V", ylabel="share of the postures")
     right.margins(y=0.4)  # room for the words
@@ -58,6 +58,6 @@ def _draw_values(axis: Any, data: dict[str, Any], kinds: tuple[str, ...]) -> Non
     time = data["period"] * np.arange(shown)
     axis.semilogy(time, promise[:shown], color=RED, ls="--", label="certified")
     axis.axhline(home, color="0.5", lw=0.8, ls=":")
-    axis.text(time[-1], 1.1 * home, "surely at home", ha="right", fontsize=8, color="0.4")
+    axis.text(time[-1], 0.9 * home, "surely at home", ha="right", va="top", fontsize=8, color="0.4")
     axis.set(ylim=(LEAST, 1.5), xlabel="time (s)", ylabel="V")
     axis.legend(fontsize=8, loc="upper right")

@@ -46,6 +46,7 @@ class Defeat(NetworkArguments):
     population: int = 40  # episodes of a repetition at a time
     kept: float = 0.2  # share of them that stays, a stage of the pilot
     moves: int = 1  # of each, a stage
+    rarest: float = 1e-5  # a probability; what is rarer is not looked for
     repetitions: int = 4  # independent, beside the pilot, for the interval
     brute: int = 0  # episodes of brute force, a kind; 0: none
     until: Literal["task", "resumption"] = "task"  # end of a run; resumption: false alarms are no defeats
@@ -54,6 +55,7 @@ class Defeat(NetworkArguments):
 
     NAME: ClassVar[str] = "defeat"
     RANGES: ClassVar[dict[str, Range]] = {
+        "rarest": (0.0, 1.0),
         "seed": (0, SEED_BLOCKS - 1), "population": (1, 10**5), "moves": (1, 1000), "repetitions": (2, 1000),
         "brute": (0, SEEDS_APART), "workers": (0, MOST_WORKERS),
     }  # fmt: skip
@@ -81,7 +83,7 @@ class Defeat(NetworkArguments):
             cases = Cases(job, gamma, self.branch, store, pool)
             for kind in self.kinds:
                 found[kind] = self._of_kind(kind, world, cases, policy.name)
-        sizes = {name: getattr(self, name) for name in ("population", "kept", "moves", "repetitions", "until")}
+        sizes = {n: getattr(self, n) for n in ("population", "kept", "moves", "rarest", "repetitions", "until")}
         made_with = {"fingerprint": identity, "policy": policy.hash, "encoder_hash": encoder.hash}
         self.write(made_with | sizes | {"kinds": {kind: entry["report"] for kind, entry in found.items()}})
         save_defeat(found, self.out / "defeat.png")
@@ -98,7 +100,7 @@ class Defeat(NetworkArguments):
             title = f"{kind}, repetition {number} of {self.repetitions}" if number else f"{kind}, pilot"
             climb = Climb(space, cases, title)
             rng = np.random.default_rng([self.seed, "AB".index(kind), number])
-            runs.append(climb.run(self.population, self.kept, self.moves, rng, levels))
+            runs.append(climb.run(self.population, self.kept, self.moves, self.rarest, rng, levels))
             seen.append(climb.seen)
             levels = [stage.level for stage in runs[0].stages]
         by_brute = self._by_brute(kind, world, cases, rnn) if self.brute else []
@@ -137,7 +139,13 @@ class Climb:
         self.seen: list[Case | None] = []  # None: no episode
 
     def run(
-        self, population: int, kept: float, moves: int, rng: np.random.Generator, levels: list[float] | None
+        self,
+        population: int,
+        kept: float,
+        moves: int,
+        rarest: float,
+        rng: np.random.Generator,
+        levels: list[float] | None,
     ) -> Splitting:
         """See `split`."""
         blocks = self._space.blocks
@@ -154,7 +162,7 @@ class Climb:
 
             return split(
                 evaluate, kernel, self._space.size, DEFEATED, population=population, kept=kept, moves=moves, rng=rng,
-                levels=levels,
+                levels=levels, rarest=rarest,
                 on_stage=lambda stage: bar.set_postfix_str(f"level {stage.level:.3f}"),
             )  # fmt: skip
 
@@ -193,6 +201,7 @@ def report(
              "stages": [asdict(stage) for stage in run.stages]} for run in repetitions
         ],
         "levels": [stage.level for stage in runs[0].stages],
+        "above_levels": of_repetitions([run.passed for run in repetitions], smallest, drawn).plain(),
         "by_failure": by_failure, "task": None if task is None else task.plain(),
         "brute": None, "overlap": None,
     }  # fmt: skip
@@ -242,6 +251,8 @@ def words(kind: str, found: dict[str, Any]) -> str:
         f"disturbance {kind}: defeated with probability {of(found)} by {found['episodes']} episodes "
         f"({ticks['saved'] / max(ticks['all'], 1):.0%} of their ticks saved by clones){task(found)}"
     )
+    if not found["defeats_found"] and found["levels"]:
+        text += f"; none was found, up to the level {found['levels'][-1]:.3f} of {of(found['above_levels'])}"
     for failure, entry in found["by_failure"].items():
         text += f"; {failure}: {of(entry)}"
     if found["brute"] is not None:

@@ -13,7 +13,8 @@ are given the estimate is unbiased, whatever the moves (Botev and Kroese, "Effic
 generalized splitting method", Statistics and Computing 22, 2012, who do the same).
 
 Ties: above means strictly above. Where several points share the level that would part them, they stay or go together,
-as is nearer to `kept`. Where the whole population of a pilot has one level short of the target, its levels end there.
+as is nearer to `kept`. A pilot whose whole population has one level short of the target ends its levels there, and also
+once what is above them is as rare as is asked for.
 """
 
 from collections.abc import Callable, Sequence
@@ -77,6 +78,7 @@ class Splitting:
     evaluations: int
     extinct: bool  # no point is left above a level, or at the target
     smallest: float  # the estimate that one point alone of the last population would have given
+    passed: float  # the probability of a point above the last level
     # Of the evaluations, numbered from 0 as they were asked for: those that some point died or ended with, each with
     # the probability that it stands for. Their sum is 1, and sum of weight f estimates the mean of any f.
     weights: list[tuple[int, float]] = field(default_factory=list)
@@ -93,6 +95,7 @@ def split(
     moves: int,
     rng: np.random.Generator,
     levels: Sequence[float] | None = None,
+    rarest: float = 0.0,
     on_stage: Callable[[Stage], object] = lambda stage: None,
 ) -> Splitting:
     """One run, see above; all that is random comes from `rng`.
@@ -103,6 +106,7 @@ def split(
         kept: share that stays, in (0, 1); with `levels` it is not read.
         moves: of each point, a stage.
         levels: of the stages, rising, below the target; None: a pilot.
+        rarest: a probability; what is rarer a pilot does not look for.
         on_stage: is told each stage.
 
     Raises InputError for sizes that make no run, and after MOST_STAGES stages.
@@ -112,7 +116,13 @@ def split(
     found, numbers = _levels(evaluate, points), np.arange(population)
     evaluations, weight, stages, weights = population, 1.0, list[Stage](), list[tuple[int, float]]()
     given = None if levels is None else iter(levels)
-    while (level := stage_level(found, kept, target) if given is None else next(given, None)) is not None:
+
+    def next_level() -> float | None:
+        if given is not None:
+            return next(given, None)
+        return stage_level(found, kept, target) if weight > rarest else None
+
+    while (level := next_level()) is not None:
         if len(stages) == MOST_STAGES:
             raise InputError(
                 f"the levels do not reach {target:g} in {MOST_STAGES} stages (now {level:g}): raise --moves, "
@@ -121,7 +131,7 @@ def split(
         above = found > level
         weights += [(int(number), weight / population) for number in numbers[~above]]
         if not above.any():
-            return Splitting(0.0, stages, evaluations, True, weight / population, weights)
+            return Splitting(0.0, stages, evaluations, True, weight / population, 0.0, weights)
         source = copies(np.flatnonzero(above), population, rng)
         points, found, numbers, taken = points[source], found[source], numbers[source], 0
         for _ in range(moves):
@@ -139,7 +149,7 @@ def split(
     reached = int(np.sum(found >= target))
     share = weight / population
     weights += [(int(number), share) for number in numbers]
-    return Splitting(share * reached, stages, evaluations, reached == 0, share, weights)
+    return Splitting(share * reached, stages, evaluations, reached == 0, share, weight, weights)
 
 
 def copies(alive: np.ndarray, population: int, rng: np.random.Generator) -> np.ndarray:

@@ -26,7 +26,7 @@ from diagrams.episodes.thresholds import Conformal, conformal
 from diagrams.monitors.bench_plan import BenchArguments, Network
 from diagrams.monitors.bench_task import Scored, load_tape
 from diagrams.monitors.fitting import BETA, HELD_OUT
-from diagrams.monitors.tapes import replay
+from diagrams.monitors.tapes import replay, require_sound
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, ENCODER
 from diagrams.world.scenario import naming_file
@@ -118,9 +118,11 @@ class Fitted:
         if not path.exists() or self.network.policy.hash not in (stored := load_detector(path, label)).metadata:
             return False
         found = stored.metadata[self.network.policy.hash]
-        if not isinstance(found, dict) or found.keys() != {"made_with", "mean_errors"}:
+        if _made_with(found) is None or found.keys() != {"made_with", "mean_errors"}:
             raise WeightsError(path, f"says {found!s:.60} of {self.network.path.name}, no mean errors", AGAIN)
-        if found["made_with"] != self._made_with:
+        if found["made_with"].get("code", "") != DETECTORS.code(self._specs[label]):
+            return False  # its author has changed it
+        if found["made_with"] | {"code": ""} != self._made_with | {"code": ""}:
             raise InputError(f"{path} was fitted to other runs ({found['made_with']!s:.80}): choose another --out")
         size = make_detector(self._specs[label], self.network.policy, self.folder).GetOutputPort("errors").size()
         means = found["mean_errors"]
@@ -136,17 +138,22 @@ class Fitted:
 
     def _fit(self, label: str, tapes: list[Tape], held_out: list[Tape]) -> None:
         spec, policy, path = self._specs[label], self.network.policy, self._file(label)
-        stored = load_detector(path, label) if path.exists() else StoredDetector(label)
+        stored, code = load_detector(path, label) if path.exists() else StoredDetector(label), DETECTORS.code(spec)
+        if any((_made_with(found) or {}).get("code", "") != code for found in stored.metadata.values()):
+            stored = StoredDetector(label)
         if label != RECALL:
             stored.arrays |= self._learned(spec, tapes)
         with TemporaryDirectory() as folder:  # its own file has the mean errors too, from the beginning
             save_detector(Path(folder, path.name), stored)
             detector, home = make_detector(spec, policy, Path(folder)), policy.scaling.scale(policy.initial_posture)
-        mean = np.vstack([replay(detector, tape, home) for tape in held_out]).mean(axis=0)
+        errors = [replay(detector, tape, home) for tape in held_out]
+        require_sound(label, np.vstack(errors), np.vstack([replay(detector, held_out[0], home), *errors[1:]]))
+        mean = np.vstack(errors).mean(axis=0)
         if not np.all(mean > 0.0):
             raise InputError(f"{label}: criterion {int(np.argmin(mean)) + 1} has no error at all on normal runs")
         self.means[label] = tuple(mean.tolist())
-        stored.metadata[policy.hash] = {"made_with": self._made_with, "mean_errors": mean.tolist()}
+        made_with = self._made_with | ({"code": code} if code else {})
+        stored.metadata[policy.hash] = {"made_with": made_with, "mean_errors": mean.tolist()}
         save_detector(path, stored)
 
     def _learned(self, spec: str, tapes: list[Tape]) -> dict[str, np.ndarray]:
@@ -171,8 +178,15 @@ class Fitted:
             arrays = {}
             if label not in UNFITTED:
                 arrays = of_policy(self.network.policy.hash, load_detector(self._file(label), label).arrays)
-            found.append(Scored(spec, calibration, arrays_hash(arrays, repr(calibration).encode())[:16]))
+            made_of = f"{calibration!r}{DETECTORS.code(spec)}".encode()
+            found.append(Scored(spec, calibration, arrays_hash(arrays, made_of)[:16]))
         return tuple(found)
+
+
+def _made_with(found: Any) -> dict[str, Any] | None:
+    """What the file of a detector says of the runs of its fit, and of its code; None: nothing."""
+    made_with = found.get("made_with") if isinstance(found, dict) else None
+    return made_with if isinstance(made_with, dict) else None
 
 
 def _positive(value: Any) -> bool:

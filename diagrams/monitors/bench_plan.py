@@ -1,7 +1,7 @@
 """What the bench is asked for, checked, and the episodes that this makes."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -141,11 +141,12 @@ def switched_off(
     arguments: BenchArguments, world: World, network: Network, detectors: tuple[Scored, ...]
 ) -> list[BenchTask]:
     """The evaluation episodes with the detector off, on which all `detectors` are scored."""
-    return [
-        BenchTask("off", world, network.rnn, network.training_seed, kind, severity, s, network.policy.hash, detectors)
-        for kind, severity in arguments.kinds
-        for s in episode_seeds("evaluation", arguments.seed, arguments.episodes)
-    ]
+    found, name, seed, policy = list[BenchTask](), network.rnn, network.training_seed, network.policy.hash
+    for kind, severity in arguments.kinds:
+        own = _beside(detectors, FAULTS.code(kind) if is_fault(kind) else "")
+        seeds = episode_seeds("evaluation", arguments.seed, arguments.episodes)
+        found += [BenchTask("off", world, name, seed, kind, severity, s, policy, own) for s in seeds]
+    return found
 
 
 def in_loop(arguments: BenchArguments, task: BenchTask, row: dict[str, Any]) -> Iterator[BenchTask]:
@@ -162,5 +163,10 @@ def in_loop(arguments: BenchArguments, task: BenchTask, row: dict[str, Any]) -> 
         for recovery in by_label(RECOVERIES.label, arguments.recoveries).values():
             yield BenchTask(
                 "loop", task.world, task.rnn, task.training_seed, task.kind, task.severity, task.seed,
-                task.weights_hash, (scored,), recovery,
+                task.weights_hash, _beside((scored,), RECOVERIES.code(recovery)), recovery,
             )  # fmt: skip
+
+
+def _beside(detectors: tuple[Scored, ...], code: str) -> tuple[Scored, ...]:
+    """Those whose rows are of another fault, or recovery, once its `code` is another."""
+    return tuple(replace(scored, hash=scored.hash + code) for scored in detectors) if code else detectors

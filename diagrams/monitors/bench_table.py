@@ -1,6 +1,6 @@
 """What the rows of the bench say: a record an episode, detector and recovery; cells of these; tables of the cells."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from diagrams.monitors.bench_plan import NONE, ORACLE
 from diagrams.monitors.bench_task import BenchTask
+from diagrams.monitors.families import FAMILIES, family_of
 from diagrams.monitors.metrics import Monitored, contingency, labels, measured, severity_noticed_by_half
 from diagrams.monitors.scoring import largest_before
 from diagrams.world.faults.registry import kind_label
@@ -21,7 +22,9 @@ FIELDS = (
     "tasks", "tpr", "tnr", "balanced_accuracy", "auroc", "auprc", "twa", "detection_s", "false_alarms_per_hour",
     "seconds_lost", "net_benefit", "gap_closed",
 )  # fmt: skip
-NOTICED = ("tpr", "tnr", "balanced_accuracy", "auroc", "auprc", "twa", "false_alarms_per_hour")
+JUDGED = ("tpr", "tnr", "balanced_accuracy", "auroc", "auprc", "twa")  # by what is to be noticed
+NOTICED = (*JUDGED, "false_alarms_per_hour")
+POOLED = "pooled"
 
 CELL = ("detector", "fault", "severity", "recovery")
 Record = dict[str, Any]  # see `records`
@@ -73,6 +76,7 @@ def records(
                     {
                         "detector": scored.label,
                         "fault": kind_label(task.kind),
+                        "family": None if task.kind == NONE else family_of(task.kind),
                         "severity": task.severity,
                         "recovery": RECOVERIES.label(recovery),
                         "rnn": task.rnn,
@@ -129,10 +133,13 @@ def cells(found: Sequence[Record]) -> list[Record]:
 
 
 def pooled(found: Sequence[Record]) -> list[Record]:
-    """The same of all faults and severities together, one for each detector and recovery."""
+    """The same of all faults and severities together, and of each family: one for each detector and recovery."""
+    disturbed = [r for r in found if r["fault"] != NONE]
+    families = [[r for r in disturbed if r["family"] == family] for family in FAMILIES]
     return [
-        _cell(own, base) | {"fault": "pooled", "severity": None}
-        for own, base in _groups([r for r in found if r["fault"] != NONE], ("detector", "recovery"), found)
+        _cell(own, base) | {"fault": name, "severity": None}
+        for name, some in zip((POOLED, *FAMILIES), (disturbed, *families), strict=True)
+        for own, base in _groups(some, ("detector", "recovery"), found)
     ]
 
 
@@ -153,10 +160,12 @@ def _groups(
 
 
 def _cell(own: list[Record], base: list[Record]) -> dict[str, Any]:
-    alone = measured(monitored(own), [name for name in FIELDS if name not in NOTICED])
-    together = measured(monitored([*own, *base]), NOTICED)
+    everyone = monitored([*own, *base])
+    alone = measured(monitored(own), names=[name for name in FIELDS if name not in NOTICED])
+    values = alone | measured(everyone, names=NOTICED)
     labelled = {name: own[0][name] for name in CELL} | {"n": len(own)}
-    return labelled | {name: (together | alone).get(name) for name in FIELDS}
+    labelled |= {name: values.get(name) for name in FIELDS}
+    return labelled | {"disturbed": measured(everyone, "disturbed", JUDGED)}
 
 
 def worth(found: Sequence[Record]) -> list[Record]:
@@ -205,15 +214,21 @@ COLUMNS = {
 
 def text(summary: Mapping[str, Any]) -> str:
     """The pooled faults, a line a detector and recovery; the tasks done, detectors by recoveries; and by fault."""
-    cells, everything = summary["cells"], summary["pooled"]
+    cells, everything = summary["cells"], [cell for cell in summary["pooled"] if cell["fault"] == POOLED]
     recoveries = list(dict.fromkeys(cell["recovery"] for cell in everything))
     detectors = list(dict.fromkeys(cell["detector"] for cell in everything or cells))
     width = max(map(len, detectors)) + 2
     lines = [f"{'all faults':{width}s}{'recovery':10s}{'n':>6s}" + "".join(f"{w:>9s}" for w in COLUMNS.values())]
     for cell in everything:
-        values = "".join(f"{'-' if cell[name] is None else _number(cell[name]['value']):>9s}" for name in COLUMNS)
-        lines.append(f"{cell['detector']:{width}s}{cell['recovery']:10s}{cell['n']:6d}{values}")
-    first, acting = recoveries[0], [cell for cell in cells if cell["tasks"] is not None]
+        lines.append(f"{cell['detector']:{width}s}{cell['recovery']:10s}{cell['n']:6d}{_line(cell, COLUMNS)}")
+    first = recoveries[0]
+    seen = {(c["fault"], c["detector"]): c["disturbed"] for c in summary["pooled"] if c["recovery"] == first}
+    lines += ["", f"{'the fault noticed':{width}s}" + "".join(f"{COLUMNS[name]:>9s}" for name in JUDGED)]
+    lines[-1] += "".join(f"{f'AUROC, {family}':>26s}" for family in FAMILIES)
+    for name in detectors:
+        lines.append(f"{name:{width}s}{_line(seen.get((POOLED, name), {}), JUDGED)}")
+        lines[-1] += "".join(_line(seen.get((family, name), {}), ("auroc",), 26) for family in FAMILIES)
+    acting = [cell for cell in cells if cell["tasks"] is not None]
     acts = [name for name in detectors if any(cell["detector"] == name for cell in acting)]
     tasks = {(cell["detector"], cell["recovery"]): with_interval(cell["tasks"]) for cell in everything}
     lines += ["", f"{'tasks done':{width}s}" + "".join(f"{name:>21s}" for name in recoveries)]
@@ -227,6 +242,12 @@ def text(summary: Mapping[str, Any]) -> str:
         lines.append(f"{name:24s}" + "".join(f"{'-' if s is None else _number(s):>9s}" for s in shares))
     lines += ["", "All with 95 % intervals over scenes, fault by fault: summary.json."]
     return "\n".join(lines)
+
+
+def _line(cell: Mapping[str, Any], names: Iterable[str], width: int = 9) -> str:
+    """Values of a cell by these names, `width` characters each."""
+    found = (cell.get(name) for name in names)
+    return "".join(f"{'-' if entry is None else _number(entry['value']):>{width}s}" for entry in found)
 
 
 def _short(name: str) -> str:

@@ -158,7 +158,8 @@ def statistics(episodes: Monitored, of: str = "needed") -> dict[str, Statistic]:
     silent = ~noticed & (episodes.false_alarms == 0)
     true_positive, true_negative = of_share(noticed & positive, positive), of_share(silent & negative, negative)
     early = np.where(noticed & positive, 1.0 - np.nan_to_num(episodes.alarm) / episodes.length, 0.0)
-    delay = np.where(episodes.disturbed, episodes.alarm - episodes.onset, np.nan)
+    # A false alarm that is under way at the onset would count as noticed at once.
+    delay = np.where(episodes.disturbed & (episodes.false_alarms == 0), episodes.alarm - episodes.onset, np.nan)
     return {
         "tpr": true_positive,
         "tnr": true_negative,
@@ -189,14 +190,15 @@ def _of_the_loop(episodes: Monitored) -> dict[str, Statistic]:
 
 
 def measured(
-    episodes: Monitored, names: Collection[str] | None = None, of: str = "needed"
+    episodes: Monitored, of: str = "needed", names: Collection[str] | None = None
 ) -> dict[str, dict[str, Any] | None]:
     """Each of `statistics`, or those in `names`: `value`, and its 95 % `interval` over scenes.
 
     None where there is nothing to say it of.
 
     The interval is a percentile bootstrap's, of the draws in which the statistic exists. A rate of 0 or 1 has the exact
-    one instead (Clopper-Pearson, `exact` is true), as `diagrams.sweeps.summary.rate` gives it.
+    one instead (Clopper-Pearson, `exact` is true), as `diagrams.sweeps.summary.rate` gives it; no false alarm at all
+    that of Poisson's law (Garwood's).
     """
     n, found = len(episodes.scene), dict[str, dict[str, Any] | None]()
     asked = {name: value for name, value in statistics(episodes, of).items() if names is None or name in names}
@@ -220,6 +222,9 @@ def measured(
             right, which = rates[name]
             exact = rate(right[which], episodes.scene[which], episodes.training_seed[which])
             found[name] = {"value": value, "interval": exact["interval"], "exact": True}
+        if name == "false_alarms_per_hour" and value == 0.0:
+            most = -np.log(0.025) * HOUR / episodes.normal_time.sum()
+            found[name] = {"value": value, "interval": [0.0, float(most)], "exact": True}
     return found
 
 
@@ -236,7 +241,7 @@ def severity_noticed_by_half(severity: np.ndarray, noticed: np.ndarray, scene: n
 
     Of the shares at each severity, made monotonic (isotonic regression), the first crossing of 1/2, interpolated. None
     where half is never noticed; where it is at the least severity already, that one. A draw without a crossing counts
-    as beyond the largest severity, inf.
+    as beyond the largest severity: so a bound may be None.
     """
     levels, index = np.unique(severity, return_inverse=True)
 
@@ -262,4 +267,4 @@ def severity_noticed_by_half(severity: np.ndarray, noticed: np.ndarray, scene: n
         crossing(np.bincount(r[u], minlength=len(severity)).astype(float)) for r, u in zip(runs, used, strict=True)
     ]
     low, high = np.quantile(drawn, (0.025, 0.975), method="inverted_cdf")
-    return {"value": value, "interval": [float(low), float(high)]}
+    return {"value": value, "interval": [None if np.isinf(bound) else float(bound) for bound in (low, high)]}

@@ -13,7 +13,7 @@ from diagrams.episodes.thresholds import Conformal, conformal
 from diagrams.monitors.bench_table import with_interval
 from diagrams.monitors.metrics import Monitored, measured
 from diagrams.monitors.scoring import Score, largest_before
-from diagrams.monitors.tapes import replay
+from diagrams.monitors.tapes import replay, require_sound
 from models.checks import LARGEST_SEED, require_numbers, require_plain
 from models.command_line import require, require_writable
 from models.data.motions import Motion, read_motions
@@ -193,12 +193,16 @@ class Offline:
 
 def _judged(spec: str, detector: System, arm: Arm, uses: dict[str, list[Motion]], delta: float) -> dict[str, Any]:
     """What the detector says of the judged runs, and what that is worth."""
-    mean = np.vstack([arm.errors(detector, motion) for motion in uses["means"]]).mean(axis=0)
+    errors = {use: [arm.errors(detector, motion) for motion in runs] for use, runs in uses.items() if use != "fit"}
+    parts = [part for use in errors.values() for part in use]
+    require_sound(spec, np.vstack(parts), np.vstack([arm.errors(detector, uses["means"][0]), *parts[1:]]))
+    mean = np.vstack(errors["means"]).mean(axis=0)
     if not np.all(mean > 0.0):
-        raise NotServed(f"criterion {int(np.argmin(mean)) + 1} has no error at all on runs that did their task")
-    ratios = {
-        use: [(arm.errors(detector, m) / mean).max(axis=1) for m in uses[use]] for use in ("calibration", "judged")
-    }
+        raise NotServed(
+            f"criterion {int(np.argmin(mean)) + 1} has no error at all on runs that did their task (if that is a "
+            "joint that never moves, give fewer --joints)"
+        )
+    ratios = {use: [(part / mean).max(axis=1) for part in errors[use]] for use in ("calibration", "judged")}
     gamma: Conformal = conformal(np.array([ratio.max() for ratio in ratios["calibration"]]), delta)
     judged, scores = uses["judged"], [Score.of(ratio, gamma.gamma, None) for ratio in ratios["judged"]]
     length = np.array([len(motion.states) for motion in judged]) * arm.period

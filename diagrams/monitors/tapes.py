@@ -16,6 +16,7 @@ from diagrams.episodes.sampling import episode_seeds
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
 from models.data.runs import Tape
+from models.errors import InputError
 
 WATCHED = ("hidden_state", "predicted_features", "recalled_postures")  # outputs of the controller; read a tick later
 
@@ -119,3 +120,14 @@ def replay(detector: System, tape: Tape, initial_posture: np.ndarray) -> np.ndar
         if context.num_discrete_state_groups():
             context.SetDiscreteState(detector.EvalUniquePeriodicDiscreteUpdate(context))
     return np.array(found)
+
+
+def require_sound(detector: str, errors: np.ndarray, again: np.ndarray) -> None:
+    """Raises InputError unless the `errors` of a run are finite numbers, and the same when it was replayed `again`."""
+    if not np.isfinite(errors).all():
+        raise InputError(f"the detector '{detector}' has errors that are no finite numbers: leave it out")
+    if not np.array_equal(errors, again):
+        raise InputError(
+            f"the detector '{detector}' has other errors when the same run is replayed: keep what it remembers in its "
+            "Context"
+        )

@@ -90,6 +90,7 @@ class _Scene:
         self.goals = np.array([int(body.index()) for body in goals], int)
         self.hand = np.array([int(plant.GetBodyByName(name).index()) for name in HAND])
         self.held = int(plant.GetBodyByName(HELD).index()) if held else None
+        self.slip = world.clearance.slip
 
     def _exclude(self, builder: RobotDiagramBuilder, plant: MultibodyPlant) -> None:
         """Leaves out the pairs within the rest, and those within the arm that no joint angles let meet."""
@@ -181,11 +182,13 @@ def clearance_filter(world: World, station: PickPlaceStation) -> ClearanceFilter
     anywhere = map if given.cans == "possible" else ClearanceMap(world)
     for opening in (world.opening, world.closed_opening):
         home = np.append(world.initial_posture[:ARM_JOINTS], opening)
-        nearest = anywhere.view(home, np.empty(0)).near(home[:ARM_JOINTS], WITHIN).distances.min(initial=WITHIN)
+        near = anywhere.view(home, np.empty(0)).near(home[:ARM_JOINTS], WITHIN)
+        nearest = (near.distances - near.margins).min(initial=WITHIN)
         if nearest <= given.gap:
             raise InputError(
-                f"world.clearance.gap {given.gap} m: at the initial posture the arm is {nearest:.3f} m from desk, "
-                "shelf, or where a can may stand, and could not come home: choose less, or another posture"
+                f"world.clearance.gap {given.gap} m: at the initial posture the arm, or a can that has slid by "
+                f"{given.slip} m in the hand, may be {nearest:.3f} m from desk, shelf, or where a can may stand, and "
+                "could not come home: choose less, or another posture"
             )
     # A changed step stays where A's targets may be, and a degree within: the servo may overshoot.
     margin = np.append(np.full(ARM_JOINTS, LIMIT_MARGIN + np.deg2rad(1.0)), np.zeros(len(lower) - ARM_JOINTS))
@@ -263,7 +266,8 @@ class _View:
             np.array([int(i) for i in side], int) for side in (found.robot_indices(), found.other_indices())
         )
         jacobians = np.reshape(found.jacobians(), (len(robot), len(self._positions)))[:, :ARM_JOINTS]
-        return Near(found.distances(), jacobians, scene.plant.num_bodies() * robot + other)
+        margins = scene.slip * (robot == scene.held)
+        return Near(found.distances(), jacobians, scene.plant.num_bodies() * robot + other, margins)
 
     def near(self, joints: np.ndarray, within: float) -> Near:
         """See `systems.clearance_filter.View`."""
@@ -272,7 +276,7 @@ class _View:
         there = ~np.isin(other, self._absent)
         if not self._returning:
             there &= ~(np.isin(robot, scene.hand) & np.isin(other, scene.goals)) & (robot != scene.held)
-        return Near(found.distances[there], found.jacobians[there], found.pairs[there])
+        return Near(*(values[there] for values in vars(found).values()))
 
     def nearest(self, joints: np.ndarray, within: float, but: np.ndarray) -> float:
         """See `systems.clearance_filter.View`."""

@@ -102,6 +102,7 @@ class Clearance:
     cans: str = "possible"  # one wherever it may stand; known: where they stand; unseen: the way is straight, no filter
     gap: float = 0.01  # distance kept, m
     least: float = 0.005  # distance that the straight line to each command is proven to keep, m
+    slip: float = 0.05  # that a can in the hand may have slid in it, m: it is kept so much farther away
     rate: float = 0.3  # share of the distance above the gap that a tick may use up
     learned_motion: bool = False  # filter the learned motion too
 
@@ -177,11 +178,11 @@ class World:
             raise InputError(
                 f"there is no resumption '{self.resumption}' (world.resumption): choose from {', '.join(RESUMPTIONS)}"
             )
-        gap, nearest, rate = self.clearance.gap, self.clearance.least, self.clearance.rate
-        if not nearest < gap < WITHIN or rate > 1.0:
+        gap, slip, nearest, rate = (getattr(self.clearance, name) for name in ("gap", "slip", "least", "rate"))
+        if not nearest < gap < WITHIN - slip or not slip >= 0.0 or rate > 1.0:
             raise InputError(
-                f"world.clearance.least {nearest} m, gap {gap} m and rate {rate} do not fit: choose least < gap < "
-                f"{WITHIN} m, and a rate of at most 1"
+                f"world.clearance.least {nearest} m, gap {gap} m and slip {slip} m, rate {rate} do not fit: choose "
+                f"least < gap, gap + slip < {WITHIN} m, a slip of 0 or more, and a rate of at most 1"
             )
         if not 0.0 < angle < 180.0:
             raise InputError(

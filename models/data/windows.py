@@ -19,8 +19,10 @@ def leading_axes(windows: np.ndarray) -> np.ndarray:
     """The first left singular vectors of each joint's windows, not centred, (J, n, w) to columns (J, w, 2) float32."""
     from sklearn.decomposition import TruncatedSVD
 
-    axes = [TruncatedSVD(AXES, algorithm="arpack", random_state=0).fit(rows).components_.T for rows in windows]
-    return np.array(axes, np.float32)
+    svd = TruncatedSVD(AXES, algorithm="arpack", random_state=0)
+    still = np.linalg.qr(np.vander(np.arange(windows.shape[2]), AXES, increasing=True))[0]  # constant and ramp
+    # ARPACK raises for a joint that stays at 0.
+    return np.array([svd.fit(rows).components_.T if np.ptp(rows) else still for rows in windows], np.float32)
 
 
 def encode_runs(runs: Sequence[np.ndarray]) -> dict[str, np.ndarray]:

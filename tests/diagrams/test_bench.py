@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn.metrics import average_precision_score, roc_auc_score
 
 from diagrams import bench
 from diagrams.episodes.pool import WorkerDied
@@ -65,7 +66,10 @@ def arguments(weights, out, **changes):
 
 
 def summary(out):
-    return json.loads((out / "summary.json").read_text())
+    def refused(name):
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads((out / "summary.json").read_text(), parse_constant=refused)
 
 
 def test_cells_and_rows(weights, tmp_path, faked, capsys):
@@ -99,6 +103,27 @@ def test_cells_and_rows(weights, tmp_path, faked, capsys):
     words = capsys.readouterr().out
     assert "tasks done" in words
     assert "retrace" not in words
+
+
+def test_areas_are_scikit_learns_of_the_stored_scores(weights, tmp_path, faked):
+    given = dict(faults=["A", "payload", "friction"], episodes=8, recoveries=["hold"])
+    assert bench.main(arguments(weights, tmp_path, **given)) == 0
+    lines = (tmp_path / "rows.jsonl").read_text().splitlines()[1:]
+    rows = {e["key"]: e["row"] for e in map(json.loads, lines) if e["key"].startswith("off-")}
+    compared = 0
+    for cell in summary(tmp_path)["cells"] + summary(tmp_path)["pooled"]:
+        kinds = {"pooled": ["A", "payload", "friction"]}.get(cell["fault"], [cell["fault"]])
+        own = [row for key, row in rows.items() if key.split("-")[3] in {"none", *kinds}]
+        shortest, failed = min(row["ticks"] for row in own), [not row["success"] for row in own]
+        peaks = [row["detectors"][cell["detector"]]["peaks"] for row in own]
+        scores = [max(value for tick, value in run if tick < shortest) for run in peaks]
+        if cell["auroc"] is None:
+            assert len(set(failed)) == 1
+            continue
+        assert cell["auroc"]["value"] == pytest.approx(roc_auc_score(failed, scores), abs=1e-12)
+        assert cell["auprc"]["value"] == pytest.approx(average_precision_score(failed, scores), abs=1e-12)
+        compared += 1
+    assert compared >= 12
 
 
 def test_of_two_severities_it_says_at_which_half_is_noticed(weights, tmp_path, faked):

@@ -1,6 +1,8 @@
 """Registries: names, entry points, and classes of other packages."""
 
+import hashlib
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 
@@ -71,6 +73,12 @@ def test_by_name_by_entry_point_and_by_class(registry):
 def test_what_is_not_there_is_named(registry, spec, named):
     with pytest.raises(InputError, match=named):
         registry[spec]
+
+
+def test_code_is_that_of_the_file_of_another_package(registry):
+    assert registry.code("ours") == ""
+    expected = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
+    assert registry.code("theirs") == registry.code(f"{HERE}:Theirs") == expected
 
 
 def of_family(rest):

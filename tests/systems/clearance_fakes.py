@@ -8,12 +8,13 @@ from systems.clearance_filter import ClearanceFilter, Near
 class Walls:
     """A Map for a point whose two joint angles are its coordinates (m); a wall is a normal and an offset.
 
-    The distance to it is normal . q - offset.
+    The distance to it is normal . q - offset; `margin`: that each is to be kept beyond the gap.
     """
 
     obstacle_size = 0
 
-    def __init__(self, *walls):
+    def __init__(self, *walls, margin=0.0):
+        self.margin = margin
         self.normals = np.array([wall[0] for wall in walls], float).reshape(-1, 2)
         self.offsets = np.array([wall[1] for wall in walls], float)
         self.reach = np.ones(2)
@@ -24,7 +25,7 @@ class Walls:
     def near(self, joints, within):
         distances = self.normals @ joints - self.offsets
         seen = distances < within
-        return Near(distances[seen], self.normals[seen], np.flatnonzero(seen))
+        return Near(distances[seen], self.normals[seen], np.flatnonzero(seen), np.full(sum(seen), self.margin))
 
     def nearest(self, joints, within, but):
         near = self.near(joints, within)
@@ -42,7 +43,7 @@ class Post(Walls):
         length = np.linalg.norm(joints)
         if length - self.radius >= within:
             return super().near(joints, within)
-        return Near(np.array([length - self.radius]), joints[None] / length, np.zeros(1, int))
+        return Near(np.array([length - self.radius]), joints[None] / length, np.zeros(1, int), np.zeros(1))
 
 
 class ToldWall(Walls):

@@ -29,6 +29,25 @@ def test_barrier_by_hand():
     )
 
 
+def test_a_margin_is_kept_beyond_the_gap_and_the_proof_does_without():
+    # 0.07 beyond gap and margin: 0.3 of that. The margin itself may be lost where a step is farther than what is seen.
+    np.testing.assert_allclose(
+        filtered(Walls(AHEAD, margin=0.02), [0.0, 0.0], [0.08, 0.05]), [0.021, 0.05, 0.08], atol=1e-6
+    )
+    step = filtered(Walls(AHEAD, margin=0.02), [-0.1, 0.0], [0.3, 0.0])[0] + 0.1
+    assert 0.2 - LEAST - 1.1e-4 < step < 0.2 - LEAST + 1e-9
+
+
+def test_a_margin_that_stops_the_arm_is_given_up():
+    # Where gap and margin end there is no way on: what the gap leaves is used. Along the wall there is one.
+    walls = Walls(AHEAD, margin=0.02)
+    np.testing.assert_allclose(filtered(walls, [0.07, 0.0], [0.12, 0.0])[:2], [0.07 + 0.3 * 0.02, 0.0], atol=1e-6)
+    np.testing.assert_allclose(filtered(walls, [0.07, 0.0], [0.12, 0.05])[:2], [0.07, 0.05], atol=1e-6)
+    # Nearer than the margin asks for it comes away from the wall, if that is on its way; else it goes on.
+    np.testing.assert_allclose(filtered(walls, [0.08, 0.0], [0.08, 0.05])[:2], [0.08 - 0.3 * 0.01, 0.05], atol=1e-5)
+    np.testing.assert_allclose(filtered(walls, [0.08, 0.0], [0.082, 0.0])[:2], [0.082, 0.0], atol=1e-12)
+
+
 def test_nearer_than_the_gap_it_is_pushed_back():
     # 4 mm before the wall: 6 mm below the gap, 0.3 of them a tick.
     np.testing.assert_allclose(filtered(Walls(AHEAD), [0.096, 0.0], [0.12, 0.0])[0], 0.096 - 0.0018, atol=1e-6)

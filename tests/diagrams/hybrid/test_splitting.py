@@ -52,6 +52,18 @@ def within_errors(found, probability):
     return abs(estimates.mean() - probability) < 3.5 * error < probability
 
 
+def test_what_is_rarer_is_not_looked_for():
+    """A target far out of reach: what is above the last level has a known probability, about as rare as asked for."""
+    found = runs(LEVELS["norm"], 50.0, 0, 12, 300, rarest=1e-3)
+    passed = np.array([r.passed for r in found])
+    truth = chi2.sf(found[0].stages[-1].level ** 2, SIZE)
+    assert 1e-3 / 5 < truth < 1e-3
+    assert abs(passed.mean() - truth) < 3.5 * passed.std(ddof=1) / np.sqrt(len(found)) < truth
+    assert all(r.extinct and r.estimate == 0.0 and len(r.stages) == len(found[0].stages) for r in found)
+    with pytest.raises(InputError, match="do not reach 50 in 100 stages"):
+        run(LEVELS["norm"], 50.0, 0)
+
+
 @pytest.mark.parametrize("probability", [1e-2, 1e-5])
 @pytest.mark.parametrize("name", ["maximum", "norm"])
 def test_known_probabilities(name, probability):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2
 from sklearn.metrics import average_precision_score, balanced_accuracy_score, recall_score, roc_auc_score
 
 from diagrams.monitors.metrics import (
@@ -80,6 +81,17 @@ def test_all_by_hand():
         "net_benefit": 0.0,  # 4 with, 4 without
         "gap_closed": 0.0,  # of 6 - 4
     }
+
+
+def test_a_false_alarm_under_way_at_the_onset_has_no_delay():
+    given = episodes(3, onset=[10.0] * 3, alarm=[10.0, 14.0, NAN], false_alarms=[1, 0, 0])
+    assert measured(given)["detection_s"]["value"] == 4.0
+
+
+def test_no_false_alarm_in_so_many_hours_has_the_exact_bound():
+    """Of Poisson's law: with 3.69 alarms expected there is none with a probability of 2.5 %."""
+    found = measured(episodes(36))["false_alarms_per_hour"]  # an hour in all
+    assert found == {"value": 0.0, "interval": [0.0, pytest.approx(chi2.ppf(0.975, 2) / 2)], "exact": True}
 
 
 def test_a_perfect_detector_closes_the_gap():
@@ -165,4 +177,7 @@ def test_severity_by_hand():
     wobbling = np.array([1, 1, 0, 0, 0, 0, 0, 0, 1, 1, 1, 0, 1, 1, 1, 1], bool)
     assert severity_noticed_by_half(severity, wobbling, scene)["value"] == pytest.approx(0.5)
     assert severity_noticed_by_half(severity, np.zeros(16, bool), scene) is None
+    # In many draws of these scenes half is never noticed, which JSON has no number for.
+    last = severity_noticed_by_half(severity, (severity == 0.8) & (scene < 2), scene)
+    assert last == {"value": pytest.approx(0.8), "interval": [pytest.approx(0.7), None]}
     assert severity_noticed_by_half(severity, np.ones(16, bool), scene)["value"] == 0.2

@@ -1,5 +1,6 @@
 """Detectors on recorded runs of other arms: what is noticed, what is left out, and the same scores as in the bench."""
 
+import importlib.util
 import json
 
 import h5py
@@ -85,6 +86,18 @@ def test_none_named_are_all_that_can_be(tmp_path, monkeypatch, capsys):
     assert "left out, it needs the network's hidden state" in capsys.readouterr().out
 
 
+def test_a_joint_that_never_moves_is_named(tmp_path, capsys):
+    file = save(tmp_path / "theirs.hdf5", 6)
+    with h5py.File(file, "r+") as opened:
+        for group in opened["data"].values():
+            group["obs/rest"][...] = 0.0
+    given = ["--data", file, "--state", "robot0_joint_pos", "rest", "--out", tmp_path]
+    with pytest.raises(InputError, match=r"subspace: criterion 5 has no error at all .*: leave it out"):
+        offline(*given, "--detectors", "subspace")
+    assert offline(*given, "--detectors", "subspace", "knn", "--joints", 4) == 0
+    assert "tpr" in capsys.readouterr().out
+
+
 def test_where_nobody_says_what_came_of_the_runs_there_are_only_alarms(tmp_path):
     file = save(tmp_path / "theirs.hdf5", 6, failures=0, said=False)
     assert offline("--data", file, "--state", "rest", "--out", tmp_path, "--detectors", "speed") == 0
@@ -166,3 +179,43 @@ def test_bad_data_are_named(tmp_path):
     with pytest.raises(InputError, match=r"few\.hdf5/demo_0 has states .* no finite rows"):
         offline("--data", few, *given)
     assert isinstance(read_motions(other, ["rest"])[0], Motion)
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("lerobot"), reason="the package lerobot is not installed")
+def test_it_judges_what_lerobots_own_writer_wrote(tmp_path):
+    """Several episodes a file, files in several folders, two tasks, videos, a success in the last frame."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    names, rng, runs = [f"joint_{i}.pos" for i in range(6)], np.random.default_rng(6), []
+    features = {
+        **{key: {"dtype": "float32", "shape": (6,), "names": names} for key in ("observation.state", "action")},
+        "observation.images.top": {"dtype": "video", "shape": (64, 96, 3), "names": ["height", "width", "channels"]},
+        "next.success": {"dtype": "bool", "shape": (1,), "names": None},
+    }
+    folder = tmp_path / "theirs"
+    written = LeRobotDataset.create("they/theirs", fps=20, features=features, root=folder, robot_type="so101_follower")
+    written.meta.update_chunk_settings(chunks_size=2, data_files_size_in_mb=0.02, video_files_size_in_mb=0.1)
+    for i in range(30):
+        failed = i >= 24
+        states, actions = motion(rng, 6, failed, 60 + i)
+        runs.append((states.astype(np.float32), actions.astype(np.float32), not failed))
+        for tick, (state, action) in enumerate(zip(*runs[-1][:2], strict=True)):
+            done = np.array([tick == len(states) - 1 and not failed])
+            frame = {"observation.state": state, "action": action, "next.success": done}
+            picture = np.full((64, 96, 3), tick, np.uint8)
+            written.add_frame(frame | {"observation.images.top": picture, "task": ("pick", "place")[i % 2]})
+        written.save_episode()
+    written.finalize()
+    files = [*(folder / "data").rglob("*.parquet")]
+    assert 3 < len(files) < 30
+    assert len({file.parent for file in files}) > 1
+    found = read_motions(folder)
+    assert [motion.name for motion in found] == [f"theirs/episode_{i}" for i in range(30)]
+    for read, (states, actions, done) in zip(found, runs, strict=True):
+        assert np.array_equal(read.states, states)
+        assert np.array_equal(read.actions, actions)
+        assert (read.success, read.period) == (done, 0.05)
+    assert offline("--data", folder, "--detectors", "speed", "knn", "--out", tmp_path) == 0
+    for entry in json.loads((tmp_path / RESULT).read_text())["detectors"]:
+        assert entry["failed"] == 6
+        assert entry["tpr"]["value"] == entry["auroc"]["value"] == 1.0

@@ -68,6 +68,13 @@ def test_a_held_can_is_where_it_was_grasped(possible, hand, station):
     assert nearest(possible, joints, OPEN, within=0.1) == pytest.approx(0.0135, abs=0.002)
 
 
+def test_a_held_can_alone_may_have_slid(possible, hand, station):
+    joints = hand.solve_ik(station.spot("left") + [0, 0, 0.04])
+    margins = possible.view(np.append(joints, CLOSED), NOTHING).near(joints, WITHIN).margins
+    assert set(margins) == {0.0, WORLD.clearance.slip}
+    assert not possible.view(np.append(joints, OPEN), NOTHING).near(joints, WITHIN).margins.any()
+
+
 def test_a_can_may_stand_wherever_one_may(possible, hand, station):
     centre = np.array([*np.mean(WORLD.grid.bounds, axis=0), CAN_HALF_HEIGHT])
     above = hand.solve_ik(centre + [0, 0, CAN_HALF_HEIGHT + 0.10])
@@ -129,7 +136,7 @@ def test_property_no_distance_falls_faster_than_the_reach_says(seed, joint):
     assert len(before) > 20
     for pair in before:
         if before[pair] < WITHIN:
-            error = 1e-4 + 0.02 * before[pair]
+            error = 1e-4 + 0.02 * abs(before[pair])
             assert abs(before[pair] - after[pair]) <= map.reach[joint] * abs(turn) + error
 
 
@@ -242,6 +249,7 @@ def test_the_hand_keeps_away_from_the_arms_own_foot(possible):
 def test_a_gap_that_keeps_the_arm_from_home_is_refused(station, cans):
     own = replace(WORLD, clearance=Clearance(cans=cans, gap=0.13))
     with pytest.raises(
-        InputError, match=r"gap 0\.13 m: at the initial posture the arm is 0\.1\d+ m from desk, .* choose less"
+        InputError,
+        match=r"gap 0\.13 m: at the initial posture the arm, or .* may be 0\.07\d m from desk, .* choose less",
     ):
         clearance_filter(own, station)

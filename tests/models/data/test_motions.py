@@ -70,3 +70,51 @@ def test_bad_data_are_named(tmp_path):
         group.create_dataset("obs/posture", shape=(10**9, 1000), dtype=float, chunks=(1, 1000))
     with pytest.raises(InputError, match=r"/data/demo_0/obs/posture has the shape .*, more than 100000 ticks"):
         read_motions(tmp_path / "huge.hdf5")
+
+
+def robomimic(path, shaped=False):
+    """Two demonstrations as robomimic's dataset_states_to_obs.py writes them, of a Panda; the second one fails."""
+    kwargs = {"control_freq": 20, "reward_shaping": shaped, "robots": ["Panda"], "has_renderer": False}
+    with h5py.File(path, "w") as file:
+        data = file.create_group("data")
+        data.attrs["total"] = 21
+        data.attrs["env_args"] = json.dumps(
+            {"env_name": "Lift", "type": 1, "env_version": "1.4.1", "env_kwargs": kwargs}
+        )
+        for i, ticks in ((0, 10), (1, 11)):
+            demo = data.create_group(f"demo_{i}")
+            demo.attrs["num_samples"], demo.attrs["model_file"] = ticks, "<mujoco/>"
+            demo["states"], demo["actions"] = np.zeros((ticks, 32)), np.full((ticks, 7), 0.1 * i)
+            demo["rewards"] = np.append(np.full(ticks - 1, 0.2 * shaped), 1.0 - i)
+            demo["dones"] = np.append(np.zeros(ticks - 1, np.int64), 1)
+            for part, shift in (("obs", 0.0), ("next_obs", 1.0)):
+                demo[f"{part}/robot0_joint_pos"] = np.full((ticks, 7), i + shift)
+                demo[f"{part}/robot0_gripper_qpos"] = np.full((ticks, 2), i + shift)
+                demo[f"{part}/agentview_image"] = np.zeros((ticks, 8, 8, 3), np.uint8)
+        file["mask/train"], file["mask/valid"] = np.array([b"demo_0"]), np.array([b"demo_1"])
+    return path
+
+
+def test_robomimics_own_layout(tmp_path):
+    path = robomimic(tmp_path / "low_dim.hdf5")
+    first, second = read_motions(path, ["robot0_joint_pos", "robot0_gripper_qpos"])
+    assert (first.states.shape, second.states.shape) == ((10, 9), (11, 9))
+    assert (first.states.max(), second.states.min()) == (0.0, 1.0)  # none of next_obs
+    assert second.actions.tolist() == [[0.1] * 7] * 11
+    assert [(run.success, run.period) for run in (first, second)] == [(True, 0.05), (False, 0.05)]
+    dense = read_motions(robomimic(tmp_path / "dense.hdf5", shaped=True), ["robot0_joint_pos"])
+    assert [run.success for run in dense] == [None, None]  # a reward for the way there says nothing of the end
+    with h5py.File(path, "r+") as file:  # as collected, before robomimic extracts the observations
+        for demo in file["data"].values():
+            del demo["obs"], demo["next_obs"], demo["rewards"], demo["dones"]
+    with pytest.raises(InputError, match="demo_0 has no observations: let robomimic extract them from its states"):
+        read_motions(path, ["robot0_joint_pos"])
+
+
+def test_actions_of_those_who_convert_to_lerobot(tmp_path):
+    path = lerobot(tmp_path / "theirs", state=list(np.ones((7, 2))), actions=list(np.full((7, 4), 2.0)))
+    info = json.loads((path / "meta/info.json").read_text())
+    del info["features"]["action"], info["features"]["observation.state"]
+    (path / "meta/info.json").write_text(json.dumps(info))
+    first, _ = read_motions(path, ["state"])
+    assert (first.states.tolist(), first.actions.tolist()) == ([[1, 1]] * 3, [[2] * 4] * 3)

@@ -22,6 +22,16 @@ def test_leading_axes_are_those_of_the_decomposition():
     assert np.array_equal(axes, leading_axes(windows))
 
 
+@pytest.mark.parametrize("value", [0.0, 2.0])
+@pytest.mark.filterwarnings("error")
+def test_leading_axes_of_a_joint_that_never_moves(value):
+    moving = np.cumsum(np.random.default_rng(0).normal(size=(50, 10)), axis=1)
+    still, other = leading_axes(np.stack([np.full((50, 10), value), moving]))
+    assert still.T @ still == pytest.approx(np.eye(2), abs=1e-6)
+    assert still @ still.T @ np.ones(10) == pytest.approx(np.ones(10), abs=1e-6)
+    assert np.array_equal(other, leading_axes(moving[None])[0])
+
+
 def test_runs_are_stored_in_tenths_of_a_milliradian():
     encoded = encode_runs([np.array([[0.12344, -1.0]]), np.array([[3.2, 0.0], [0.00006, 0.0]])])
     assert encoded["angles"].tolist() == [[1234, -10000], [32000, 0], [1, 0]]
