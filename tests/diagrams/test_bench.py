@@ -21,6 +21,7 @@ from diagrams.episodes.rollout import Rollout
 from diagrams.monitors import bench_fit, bench_task
 from diagrams.monitors.bench_plan import BenchArguments
 from diagrams.monitors.bench_task import run_bench_task
+from diagrams.monitors.families import family_of
 from diagrams.monitors.tapes import taped_and_recorded
 from models.command_line import ROOT
 from models.errors import InputError
@@ -31,7 +32,7 @@ from tests.diagrams.untrained import save_untrained
 FAKE_BENCH = Path(__file__).parent / "bench_fakes.py"
 CELL = [
     "detector", "fault", "severity", "recovery", "n", "tasks", "tpr", "tnr", "balanced_accuracy", "auroc", "auprc",
-    "twa", "detection_s", "false_alarms_per_hour", "seconds_lost", "net_benefit", "gap_closed",
+    "twa", "detection_s", "false_alarms_per_hour", "seconds_lost", "net_benefit", "gap_closed", "disturbed",
 ]  # fmt: skip
 WRITTEN = (
     "summary.json", "bench.parquet", "explorer.html", "explorer/replays.js", "networks/mahalanobis.safetensors",
@@ -112,7 +113,8 @@ def test_areas_are_scikit_learns_of_the_stored_scores(weights, tmp_path, faked):
     rows = {e["key"]: e["row"] for e in map(json.loads, lines) if e["key"].startswith("off-")}
     compared = 0
     for cell in summary(tmp_path)["cells"] + summary(tmp_path)["pooled"]:
-        kinds = {"pooled": ["A", "payload", "friction"]}.get(cell["fault"], [cell["fault"]])
+        together = [kind for kind in ("A", "payload", "friction") if cell["fault"] in ("pooled", family_of(kind))]
+        kinds = together or [cell["fault"]]
         own = [row for key, row in rows.items() if key.split("-")[3] in {"none", *kinds}]
         shortest, failed = min(row["ticks"] for row in own), [not row["success"] for row in own]
         peaks = [row["detectors"][cell["detector"]]["peaks"] for row in own]
