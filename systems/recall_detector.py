@@ -39,8 +39,10 @@ def RecallDetector_(T):
     class Impl(CalibratedDetector, LeafSystem_[T]):
         """l_0 judges the prediction m^R_k against m_k, l_n what c_{k-1} recalls of tick k - 1 - n against m_{k-1-n}.
 
-        With `features` one criterion more: the mean square of f^R_k - f_k, as InnovationDetector's l_2, and two inputs,
-        features and predicted_features.
+        With `features` one criterion more and two inputs, features and predicted_features: the square of
+        InnovationDetector's l_2, the mean square of f^R_k - f_k. On normal runs the largest l_2 are near to each other
+        and the largest l_n far apart; by its mean the square has the largest that they have, so that the one gamma is
+        right for all: l_2 itself would never come to it (diagrams/BENCH.md has the figures).
 
         .. pydrake_system::
 
@@ -86,7 +88,7 @@ def RecallDetector_(T):
             if not self._features:
                 return found
             seen = feature_innovation(self.predicted_features.Eval(context), self.features.Eval(context))
-            return np.append(found, seen / mean_errors[-1])
+            return np.append(found, seen * seen / mean_errors[-1])
 
     return Impl
 

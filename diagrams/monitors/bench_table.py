@@ -160,11 +160,12 @@ def _groups(
 
 
 def _cell(own: list[Record], base: list[Record]) -> dict[str, Any]:
-    alone, everyone = measured(monitored(own)), monitored([*own, *base])
-    together, disturbed = measured(everyone), measured(everyone, "disturbed")
+    everyone = monitored([*own, *base])
+    alone = measured(monitored(own), names=[name for name in FIELDS if name not in NOTICED])
+    values = alone | measured(everyone, names=NOTICED)
     labelled = {name: own[0][name] for name in CELL} | {"n": len(own)}
-    values = {name: (together if name in NOTICED else alone).get(name) for name in FIELDS}
-    return labelled | values | {"disturbed": {name: disturbed[name] for name in JUDGED}}
+    labelled |= {name: values.get(name) for name in FIELDS}
+    return labelled | {"disturbed": measured(everyone, "disturbed", JUDGED)}
 
 
 def flat(cell: Record) -> Record:

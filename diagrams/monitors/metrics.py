@@ -6,7 +6,7 @@ and without a fault, it is a false one.
 """
 
 import collections
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -189,23 +189,28 @@ def _of_the_loop(episodes: Monitored) -> dict[str, Statistic]:
     return found
 
 
-def measured(episodes: Monitored, of: str = "needed") -> dict[str, dict[str, Any] | None]:
-    """Each of `statistics`: `value`, and its 95 % `interval` over scenes; None where there is nothing to say it of.
+def measured(
+    episodes: Monitored, of: str = "needed", names: Collection[str] | None = None
+) -> dict[str, dict[str, Any] | None]:
+    """Each of `statistics`, or those in `names`: `value`, and its 95 % `interval` over scenes.
+
+    None where there is nothing to say it of.
 
     The interval is a percentile bootstrap's, of the draws in which the statistic exists. A rate of 0 or 1 has the exact
     one instead (Clopper-Pearson, `exact` is true), as `diagrams.sweeps.summary.rate` gives it; no false alarm at all
     that of Poisson's law (Garwood's).
     """
     n, found = len(episodes.scene), dict[str, dict[str, Any] | None]()
+    asked = {name: value for name, value in statistics(episodes, of).items() if names is None or name in names}
     if not n:
-        return dict.fromkeys(statistics(episodes, of))
+        return dict.fromkeys(asked)
     runs, used = resampled(episodes.scene)
     positive = getattr(episodes, of)
     silent = ~episodes.noticed & (episodes.false_alarms == 0)
     rates = {"tpr": (episodes.noticed, positive), "tnr": (silent, ~positive)}
     if episodes.success is not None:
         rates["tasks"] = episodes.success, np.ones(n, bool)
-    for name, statistic in statistics(episodes, of).items():
+    for name, statistic in asked.items():
         value = float(statistic(np.ones(n)))
         if np.isnan(value):
             found[name] = None
