@@ -2,9 +2,10 @@
 
     python diagrams/bench.py --detectors recall mahalanobis --faults A camera_shift --episodes 2 --out outputs/bench
 
-Each episode is run with the detector off, and all detectors are scored on that one run; each that alarms there is run
-again in closed loop, with each recovery. Started again with the same --out it runs what is missing; more detectors,
-faults, severities, training seeds and recoveries may be asked for, fewer too. diagrams/BENCH.md has the definitions.
+Each episode is run with the detector off, and all detectors are scored on that one run; each that alarms there, or
+only those that --loop names, is run again in closed loop, with each recovery. Started again with the same --out it runs
+what is missing; more detectors, loops, faults, severities, training seeds and recoveries may be asked for, fewer too.
+diagrams/BENCH.md has the definitions.
 `bench.py export` writes its runs as data sets; `bench.py offline` scores recorded runs of anybody's arm;
 `bench.py coverage` measures what the calibration promises.
 Exit code 0: done; 1: some episode raised an error; 2: bad input.
@@ -82,6 +83,7 @@ class Crew:
 
         asked, rows, folder = list(tasks), self._store.rows, self._arguments.out
         missing = [t for t in asked if not t.done_by(rows.get(t.key)) or not self._kept(t)]
+        missing.sort(key=lambda task: task.diagram)
         print(f"{words}: {len(asked)} episodes, {len(asked) - len(missing)} of them done", flush=True)
         if missing:
             pool, function = self._workers()
@@ -175,10 +177,10 @@ def finish(
     errors: list[str],
 ) -> int:
     """Writes and prints what the rows say; returns the exit code."""
-    from diagrams.monitors.bench_table import cells, half_noticed, pooled, records, text, worth, write_table
+    from diagrams.monitors.bench_table import cells, flat, half_noticed, pooled, records, text, worth, write_table
 
     recoveries = list({RECOVERIES.label(spec): spec for spec in arguments.recoveries}.values())
-    found = records(off, loops, rows, recoveries, period)
+    found = records(off, loops, rows, recoveries, period, arguments.acting)
     if not found:
         raise InputError("no episode of them counts: each was void, or raised an error; ask for other --faults")
     path, summary_path = write_table(arguments.out, found), arguments.out / SUMMARY
@@ -200,7 +202,7 @@ def finish(
     write_text(summary_path, json.dumps(summary, indent=1) + "\n")
     shown = [r | {"network": policy_name(r["rnn"], r["training_seed"]).removesuffix(".onnx")} for r in found]
     gamma = {name: {label: g["gamma"] for label, g in of.items()} for name, of in promises.items()}
-    page = write_explorer(arguments.out, of_all + of_each, shown, gamma, BETA, period)
+    page = write_explorer(arguments.out, [flat(cell) for cell in of_all + of_each], shown, gamma, BETA, period)
     write_replays(arguments.out / SHOWN)
     print(text(summary))
     for error in errors:

@@ -12,7 +12,7 @@ posture_history        posture -> the posture now and those of the last N + 1 ti
 loop_closer            Eqs. 7 and 8: what the network is fed
 detectors              the one list of the detectors
 detector               what a detector is, and what ours share: Eqs. 5 and 6, its calibration in the Context
-recall_detector        the paper's, Eq. 4: recalled against measured postures
+recall_detector        the paper's, Eq. 4: recalled against measured postures; and the picture beside them
 window_detector        what the two baselines have in common: the last samples of each joint
 knn_detector           the first baseline: distance to the nearest training window
 subspace_detector      the second: what is outside the leading axes of the training windows

@@ -11,6 +11,7 @@ DETECTORS: Registry = Registry(
         "innovation": "systems.innovation_detector:InnovationDetector",
         "innovation_posture": "systems.innovation_detector:PostureInnovation",
         "innovation_features": "systems.innovation_detector:FeatureInnovation",
+        "recall_innovation": "systems.recall_detector:RecallInnovation",
         "innovation_cusum": "systems.cusum_detector:CusumDetector",
         "mahalanobis": "systems.mahalanobis_detector:MahalanobisDetector",
         "pca_kmeans": "systems.clusters_detector:ClustersDetector",

@@ -33,6 +33,8 @@ class BenchArguments(ClusterOptions):
     """Every detector on every fault at every severity; what alarms is run again with every recovery."""
 
     detectors: list[str] = field(default_factory=lambda: [*DETECTORS])  # as in the registry, or package.module:Class
+    # short names of those that act in closed loop, the oracle beside them; the others are scored alone. None: all act
+    loop: list[str] | None = None
     faults: list[str] = field(default_factory=lambda: [*DISTURBANCES[1:], *FAULTS])  # A, B, ...; none is always there
     severities: list[float] = field(default_factory=lambda: [1.0])  # of the faults, 0 to 1
     episodes: int = 1  # scenes of each fault and severity
@@ -66,6 +68,14 @@ class BenchArguments(ClusterOptions):
             for severity in self.severities:
                 require_severity(kind, severity)
         by_label(DETECTORS.label, self.detectors)
+        if self.loop == []:
+            raise InputError("--loop names nothing: give one detector or more, or leave it out for all")
+        for label in self.loop or ():
+            if label not in self.specs:
+                raise InputError(
+                    f"--loop {label:.80} is none of the detectors here: choose from {', '.join(self.specs)}, or name "
+                    "it in --detectors too"
+                )
         for spec in self.recoveries:
             RECOVERIES.check(spec)
         by_label(RECOVERIES.label, self.recoveries)
@@ -82,6 +92,12 @@ class BenchArguments(ClusterOptions):
     def specs(self) -> dict[str, str]:
         """The detectors by their short names, with those that all are measured by."""
         return by_label(DETECTORS.label, [NEVER, ORACLE, *self.detectors])
+
+    @property
+    def acting(self) -> set[str]:
+        """The short names of those that act in closed loop: where one does, the oracle too, whose gap it closes."""
+        named = {*self.specs} if self.loop is None else {NEVER, *self.loop}
+        return named | ({ORACLE} if named != {NEVER} else set())
 
     @property
     def kinds(self) -> list[tuple[str, float | None]]:
@@ -134,11 +150,14 @@ def switched_off(
 
 
 def in_loop(arguments: BenchArguments, task: BenchTask, row: dict[str, Any]) -> Iterator[BenchTask]:
-    """What acts in the episode of `task`, which left `row`: each detector that alarmed, with each recovery."""
+    """What acts in the episode of `task`, which left `row`: each acting detector that alarmed, with each recovery."""
     if row["error"] is not None or row["void"]:
         return
+    acting = arguments.acting
     for scored in task.detectors:
         found = row["detectors"][scored.label]
+        if scored.label not in acting:
+            continue
         if found["alarm"] is None and not found["false_alarms"]:
             continue
         for recovery in by_label(RECOVERIES.label, arguments.recoveries).values():

@@ -19,7 +19,7 @@ from diagrams.monitors.scoring import Score
 from diagrams.monitors.tapes import TapedRun, replay, taped_and_recorded
 from diagrams.monitors.traces import PICTURES, SHOWN, TRACE, pictures_file, trace_script
 from diagrams.world.configuration import World
-from diagrams.world.faults.registry import kind_label
+from diagrams.world.faults.registry import is_fault, kind_label
 from diagrams.world.names import ENCODER
 from models.data.runs import Tape
 from models.errors import InputError
@@ -68,6 +68,13 @@ class BenchTask:
         severity = "" if self.severity is None else f"-{self.severity!r}"
         acts = f"-{self.detectors[0].label}-{RECOVERIES.label(self.recovery)}" if self.stage == "loop" else ""
         return f"{self.stage}-{self.rnn}-{self.training_seed}-{kind_label(self.kind)}{severity}-{self.seed}{acts}"
+
+    @property
+    def diagram(self) -> tuple[str, ...]:
+        """Tasks alike in it share one diagram: run one after another, they build it once (it is never freed)."""
+        fault = self.kind if is_fault(self.kind) else ""
+        acts = (self.detectors[0].spec, self.recovery) if self.stage == "loop" else ()
+        return (self.rnn, f"{self.training_seed}", fault, *acts)
 
     def done_by(self, row: dict[str, Any] | None) -> bool:
         """Whether `row`, of this key, is what it gives: without an error, of these detectors.

@@ -214,6 +214,8 @@ def _table(bench: Path) -> tuple[dict[Episode, dict[str, bool]], set[tuple]]:
             severity = None if row["severity"] is None or np.isnan(row["severity"]) else float(row["severity"])
             episode = row["fault"], severity, row["rnn"], int(row["training_seed"]), int(row["seed"])
             found = known.setdefault(episode, {NEVER: not row["needed"]})
+            if row["success"] is None:  # it was scored alone
+                continue
             if row["detector"] != NEVER:
                 found[f"{row['detector']}-{row['recovery']}"] = bool(row["success"])
             if not np.isnan(float("nan" if row["alarm_s"] is None else row["alarm_s"])) or row["false_alarms"]:

@@ -31,7 +31,7 @@ class Monitored:
         normal_time: how long the episode went on before the onset, or without one.
         length: of the run with `never`.
         needed: whether that failed its task.
-        success: whether the task was done in closed loop; oracle_success: and with the oracle.
+        success: whether the task was done in closed loop, oracle_success: and with the oracle; None: that does not act.
         lost: seconds of needless returns in closed loop.
     """
 
@@ -44,8 +44,8 @@ class Monitored:
     normal_time: np.ndarray
     length: np.ndarray
     needed: np.ndarray
-    success: np.ndarray
-    oracle_success: np.ndarray
+    success: np.ndarray | None
+    oracle_success: np.ndarray | None
     lost: np.ndarray
 
     @property
@@ -70,8 +70,9 @@ def largest_scores(scores: Sequence[np.ndarray]) -> np.ndarray:
 def labels(episodes: Monitored) -> np.ndarray:
     """(n,) str. With an alarm: `needed` (without it the task fails, with it it's done), `late` (it fails nevertheless),
     `needless` (it's done anyway), `harmful` (only with the alarm it fails). Without: `harmful miss` (the task fails),
-    `harmless miss` (a fault, but the task is done), `quiet` (neither fault nor failure).
+    `harmless miss` (a fault, but the task is done), `quiet` (neither fault nor failure). Of a detector that acts.
     """
+    assert episodes.success is not None
     # A false alarm has acted too, in closed loop.
     alarm = episodes.noticed | (episodes.false_alarms > 0)
     acted = np.where(
@@ -147,19 +148,19 @@ def of_median(values: np.ndarray) -> Statistic:
 
 
 def statistics(episodes: Monitored, of: str = "needed") -> dict[str, Statistic]:
-    """All by name; `of` says what is to be noticed: what is `needed`, as in the literature, or what is `disturbed`."""
+    """All by name; `of` says what is to be noticed: what is `needed`, as in the literature, or what is `disturbed`.
+
+    Those of the closed loop are not there where nothing acts in it.
+    """
     positive, noticed = getattr(episodes, of), episodes.noticed
     negative = ~positive
     # What must not be noticed had no alarm of either kind.
     silent = ~noticed & (episodes.false_alarms == 0)
     true_positive, true_negative = of_share(noticed & positive, positive), of_share(silent & negative, negative)
     early = np.where(noticed & positive, 1.0 - np.nan_to_num(episodes.alarm) / episodes.length, 0.0)
-    done, never = episodes.success.astype(float), (~episodes.needed).astype(float)
-    benefit, everyone = done - never, np.ones(len(done))
     # A false alarm that is under way at the onset would count as noticed at once.
     delay = np.where(episodes.disturbed & (episodes.false_alarms == 0), episodes.alarm - episodes.onset, np.nan)
     return {
-        "tasks": of_share(done, everyone),
         "tpr": true_positive,
         "tnr": true_negative,
         "balanced_accuracy": lambda weights: 0.5 * (true_positive(weights) + true_negative(weights)),
@@ -169,10 +170,23 @@ def statistics(episodes: Monitored, of: str = "needed") -> dict[str, Statistic]:
         "twa": lambda weights: 0.5 * (of_share(early, positive)(weights) + true_negative(weights)),
         "detection_s": of_median(delay),
         "false_alarms_per_hour": of_share(episodes.false_alarms, episodes.normal_time / HOUR),
+    } | _of_the_loop(episodes)
+
+
+def _of_the_loop(episodes: Monitored) -> dict[str, Statistic]:
+    """Those that only runs in closed loop say."""
+    if episodes.success is None:
+        return {}
+    done, never = episodes.success.astype(float), (~episodes.needed).astype(float)
+    benefit, everyone = done - never, np.ones(len(done))
+    found = {
+        "tasks": of_share(done, everyone),
         "seconds_lost": of_share(episodes.lost, everyone),
         "net_benefit": of_share(benefit, everyone),
-        "gap_closed": of_share(benefit, episodes.oracle_success.astype(float) - never),
     }
+    if episodes.oracle_success is not None:
+        found["gap_closed"] = of_share(benefit, episodes.oracle_success.astype(float) - never)
+    return found
 
 
 def measured(episodes: Monitored, of: str = "needed") -> dict[str, dict[str, Any] | None]:
@@ -188,11 +202,9 @@ def measured(episodes: Monitored, of: str = "needed") -> dict[str, dict[str, Any
     runs, used = resampled(episodes.scene)
     positive = getattr(episodes, of)
     silent = ~episodes.noticed & (episodes.false_alarms == 0)
-    rates = {
-        "tasks": (episodes.success, np.ones(n, bool)),
-        "tpr": (episodes.noticed, positive),
-        "tnr": (silent, ~positive),
-    }
+    rates = {"tpr": (episodes.noticed, positive), "tnr": (silent, ~positive)}
+    if episodes.success is not None:
+        rates["tasks"] = episodes.success, np.ones(n, bool)
     for name, statistic in statistics(episodes, of).items():
         value = float(statistic(np.ones(n)))
         if np.isnan(value):

@@ -152,6 +152,30 @@ def test_nothing_is_run_twice_and_more_may_be_asked_for(weights, tmp_path, faked
     assert {name: (tmp_path / name).read_bytes() for name in WRITTEN} == before
 
 
+def test_what_acts_in_the_loop_may_be_chosen_and_more_later(weights, tmp_path, faked):
+    """A diagram is built once: the tasks of each come one after another."""
+    assert bench.main(arguments(weights, tmp_path / "all")) == 0
+    out = tmp_path / "some"
+    faked.clear()
+    assert bench.main(arguments(weights, out, loop=["mahalanobis"])) == 0
+    loops = [task for task in faked if task.stage == "loop"]
+    assert {task.detectors[0].label for task in loops} == {"oracle", "mahalanobis"}
+    diagrams = [(task.kind if task.kind == "payload" else "", task.detectors, task.recovery) for task in loops]
+    assert len([d for d, before in zip(diagrams, [None, *diagrams], strict=False) if d != before]) == 2 * 2 * 2
+    by = {(cell["detector"], cell["fault"]): cell for cell in summary(out)["cells"]}
+    assert by["recall", "A"]["tpr"] is not None
+    assert by["recall", "A"]["tasks"] is None is by["recall", "A"]["gap_closed"]
+    assert by["mahalanobis", "A"]["tasks"] is not None
+    table = pd.read_parquet(out / "bench.parquet").set_index("detector")
+    assert table.loc["recall", ["success", "lost_s", "label"]].isna().all(axis=None)
+    assert table.loc["mahalanobis", ["success", "lost_s", "label"]].notna().all(axis=None)
+    faked.clear()
+    assert bench.main(arguments(weights, out)) == 0
+    assert {(task.stage, task.detectors[0].label) for task in faked} == {("loop", "recall")}
+    for name in WRITTEN:
+        assert (out / name).read_bytes() == (tmp_path / "all" / name).read_bytes(), name
+
+
 def start(out, weights, workers):
     command = [sys.executable, FAKE_BENCH, "--out", out, "--weights", weights, "--workers", workers, "--episodes", 3]
     command += ["--detectors", "recall", "mahalanobis", "--faults", "A", "payload", "--recoveries", "planned", "hold"]
@@ -238,6 +262,8 @@ def test_an_error_of_an_undisturbed_run_ends_it(weights, tmp_path, monkeypatch):
         ({"delta": 0.0}, "--delta 0.0 is no share"),
         ({"training_seeds": [7]}, "of training seed 7"),
         ({"fit_runs": 1}, "--fit-runs 1 is too small"),
+        ({"loop": []}, "--loop names nothing"),
+        ({"loop": ["speed"]}, "--loop speed is none of the detectors here: choose from never, oracle, recall, mahala"),
     ],
 )
 def test_bad_input_is_refused_before_anything_runs(weights, tmp_path, faked, changes, words):

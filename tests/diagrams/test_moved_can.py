@@ -1,4 +1,4 @@
-"""A can is moved by 3 to 6 cm while the hand approaches it, nothing else disturbed: the shipped network follows it."""
+"""A can is moved by 3 to 6 cm while the hand approaches it, nothing else disturbed: it is placed all the same."""
 
 import json
 
@@ -8,7 +8,7 @@ from diagrams.sweeps.plan import SweepArguments
 EPISODES, LEAST = 8, 7
 
 
-def test_the_shipped_network_follows_a_moved_can(tmp_path):
+def test_a_moved_can_is_placed(tmp_path):
     asked = SweepArguments(
         episodes=EPISODES, seed=3, purpose="validation", disturbance=["moved"], workers=2, out=tmp_path
     )  # fmt: skip

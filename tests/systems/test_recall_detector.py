@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from systems.detectors import DETECTORS
 from systems.recall_detector import RecallDetector
 from tests.systems.system_checks import evaluate, evaluate_autodiff
 
@@ -33,6 +34,32 @@ def test_without_a_calibration_errors_are_squared_errors_and_nothing_fires():
     assert evaluate(SYSTEM, "errors", INPUTS) == pytest.approx([0.05, 0.02])
     far = INPUTS | dict(recalled_postures=np.full(4, 2.0))  # the largest that scaled postures allow
     assert evaluate(SYSTEM, "alpha", far) == pytest.approx([0.0], abs=1e-200)
+
+
+# The picture beside it: features (0.6 - 0.2)^2 / 2 = 0.08.
+SEEN = SimpleNamespace(**vars(SIZES), feature_size=2)
+BOTH = INPUTS | dict(features=[0.6, 0.5], predicted_features=[0.2, 0.5])
+
+
+def test_recall_and_innovation_together_by_hand():
+    """The errors are those of the two detectors alone, alpha the largest of all: here of the picture."""
+    system = DETECTORS["recall_innovation"].build(SEEN, 2, DETECTORS["recall_innovation"].fit([]))
+    ports = [system.get_input_port(i).get_name() for i in range(system.num_input_ports())]
+    assert set(ports) == set(BOTH)
+    assert evaluate(system, "errors", BOTH) == pytest.approx([0.05, 0.02, 0.08])
+    calibration = [*MEANS, 0.02], 1.0, 1.0
+    assert evaluate(system, "errors", BOTH, calibration) == pytest.approx([0.5, 2.0, 4.0])
+    assert evaluate(system, "alpha", BOTH, calibration) == pytest.approx([1.0 / (1.0 + np.exp(-3.0))])
+    alone = evaluate(SYSTEM, "errors", INPUTS, (MEANS, 1.0, 1.0))
+    assert evaluate(system, "errors", BOTH, calibration)[:2].tobytes() == alone.tobytes()
+    # Where the network started anew nothing was predicted: the recall alone judges.
+    anew = BOTH | dict(predicted_features=[0.0, 0.0])
+    assert evaluate(system, "errors", anew, calibration) == pytest.approx([0.5, 2.0, 0.0])
+    value, gradient = evaluate_autodiff(system, "errors", BOTH, "predicted_features")
+    assert value == pytest.approx([0.05, 0.02, 0.08])
+    assert gradient == pytest.approx(np.array([[0.0, 0.0], [0.0, 0.0], [-0.4, 0.0]]))  # 2 (f^R - f) / 2
+    with pytest.raises(ValueError, match="mine recalls nothing: train recall heads"):
+        DETECTORS["recall_innovation"].build(SimpleNamespace(**vars(SEEN), recalls=False, name="mine"), 2, {})
 
 
 def test_the_fingers_are_not_judged():

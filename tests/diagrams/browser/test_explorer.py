@@ -17,14 +17,17 @@ EVIL = "</script><img src=x onerror=alert(1)>"
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A whole bench of made-up episodes, all files where bench.py puts them."""
-    out, weights = tmp_path_factory.mktemp("the bench's"), save_untrained(tmp_path_factory.mktemp("weights"))
-    given = bench.BenchArguments(
+    return bench_in(tmp_path_factory.mktemp("the bench's"), save_untrained(tmp_path_factory.mktemp("weights")))
+
+
+def bench_in(out, weights, **changes):
+    given = dict(
         detectors=["recall"], faults=["A", "payload"], severities=[0.5, 1.0], episodes=2, fit_runs=2,
         calibration_runs=2, recoveries=["planned", "hold"], weights=weights, workers=0, out=out,
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "run_bench_task", bench_fakes.bench_row)
-        assert bench.main(given) == 0
+        assert bench.main(bench.BenchArguments(**given | changes)) == 0
     return out
 
 
@@ -84,6 +87,19 @@ def test_filters_and_order(folder, opened):
     # A cell sets the filters to its own.
     cells.filter(has_text="oracle").filter(has_text="payload").first.get_by_role("button").click()
     assert {(row["detector"], row["fault"]) for row in episodes(page)} == {("oracle", "payload")}
+
+
+def test_a_detector_that_was_scored_alone(tmp_path, opened):
+    few = dict(loop=["never"], faults=["A"], recoveries=["hold"], episodes=1)
+    page = opened(bench_in(tmp_path, save_untrained(tmp_path), **few) / "explorer.html")
+    row = next(row for row in episodes(page) if (row["detector"], row["fault"]) == ("recall", "A"))
+    assert (row["label"], row["task with"], row["lost s"]) == ("", "not run", "")
+    cell = page.get_by_role("table", name="cells").locator("tbody tr").filter(has_text="recall").first
+    assert [cell.locator("td").nth(k).inner_text() for k in (6, -7)] == ["", ""]  # tasks done, gap closed
+    page.get_by_role("button", name="show: recall, A").first.click()
+    side = page.locator(".side").first
+    assert side.locator("h3").inner_text() == "recall, hold: scored alone"
+    assert side.locator("p").first.inner_text().endswith("It did not act in closed loop.")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

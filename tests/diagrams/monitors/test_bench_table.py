@@ -4,9 +4,11 @@ import pytest
 
 from diagrams.episodes.calibration import Calibration
 from diagrams.monitors.bench_plan import BenchArguments, in_loop
-from diagrams.monitors.bench_table import cells, pooled, records, worth
+from diagrams.monitors.bench_table import POOLED, cells, pooled, records, text, worth
 from diagrams.monitors.bench_task import BenchTask, Scored
+from diagrams.monitors.families import FAMILIES, family_of
 from diagrams.world.configuration import World
+from diagrams.world.faults.registry import FAULTS
 
 MINE, ORACLE, NEVER = (Scored(name, Calibration((1.0,), 30.0, 1.0), name) for name in ("speed", "oracle", "never"))
 ALL = NEVER, ORACLE, MINE
@@ -65,8 +67,32 @@ def test_labels(found):
     assert not counted["disturbed success"]
 
 
+def test_a_detector_that_does_not_act_has_what_is_noticed_alone(found):
+    """Cells, labels and table; all else is as where it acts, the oracle stays, and without it nobody's gap is known."""
+    off, rows = [task for (task, _), *_ in WORKED], {task.key: row for (task, row), *_ in WORKED}
+    arguments = BenchArguments(detectors=["speed"], recoveries=["hold"], loop=["never"])
+    assert not [loop for (task, row), *_ in WORKED for loop in in_loop(arguments, task, row)]
+    alone = records(off, [], rows, ["hold"], 0.1, arguments.acting)
+    for cell, whole in zip(cells(alone), cells(found), strict=True):
+        unknown = {"gap_closed"}
+        if cell["detector"] != "never":
+            unknown |= {"tasks", "seconds_lost", "net_benefit"}
+        assert {name for name in unknown if cell[name] is not None} == set()
+        assert {n: v for n, v in cell.items() if n not in unknown} == {
+            n: v for n, v in whole.items() if n not in unknown
+        }
+    assert {entry["detector"]: entry["labels"] is None for entry in worth(alone)} == {
+        "never": False, "oracle": True, "speed": True,
+    }  # fmt: skip
+    words = text({"cells": cells(alone), "pooled": pooled(alone)})
+    # With all faults, and with what is noticed; not among the tasks done.
+    assert [line.split()[0] for line in words.splitlines() if line].count("speed") == 2
+    acting = BenchArguments(detectors=["speed"], recoveries=["hold"], loop=["speed"])
+    assert acting.acting == {"never", "oracle", "speed"}
+
+
 def values(cell):
-    return {name: entry["value"] for name, entry in cell.items() if isinstance(entry, dict)}
+    return {name: entry["value"] for name, entry in cell.items() if isinstance(entry, dict) and "value" in entry}
 
 
 def test_a_cell_by_hand(found):
@@ -88,6 +114,26 @@ def test_a_cell_by_hand(found):
     }
 
 
+def test_the_fault_noticed_by_hand(found):
+    """Not whether an alarm was needed, but whether there was a fault."""
+    payload = next(c for c in cells(found) if (c["detector"], c["fault"]) == ("speed", "payload"))
+    assert values(payload["disturbed"]) == {
+        "tpr": pytest.approx(2 / 3),
+        "tnr": 1 / 2,
+        "balanced_accuracy": pytest.approx((2 / 3 + 1 / 2) / 2),
+        "auroc": pytest.approx((0.5 + 1 + 2) / 6),  # 0.5, 1.0 and 4.0 against 2.0 and 0.5
+        "auprc": pytest.approx(1 / 3 * (1 + 2 / 3 + 3 / 5)),
+        "twa": pytest.approx(0.5 * ((1 - 105 / 400 + 1 - 12 / 40) / 3 + 1 / 2)),
+    }
+    assert payload["tpr"] is None  # none of these was needed
+
+
+def test_families():
+    by_name = {name: family_of(name) for name in ("A", "B", "camera_shift", "can_moved", "joint_offset", "push_hand")}
+    assert [FAMILIES.index(family) for family in by_name.values()] == [0, 0, 1, 1, 0, 0]
+    assert {family_of(name) for name in FAULTS} == set(FAMILIES)
+
+
 def test_never_and_oracle_by_hand(found):
     by = {(c["detector"], c["fault"]): values(c) for c in cells(found)}
     assert (by["never", "payload"]["tasks"], by["never", "payload"]["net_benefit"]) == (1.0, 0.0)
@@ -96,7 +142,14 @@ def test_never_and_oracle_by_hand(found):
 
 
 def test_pooled_are_all_faults(found):
-    cell = next(c for c in pooled(found) if c["detector"] == "speed")
+    arm, cell = (
+        next(c for c in pooled(found) if (c["detector"], c["fault"]) == ("speed", name))
+        for name in (FAMILIES[0], POOLED)
+    )
+    assert {name: value for name, value in arm.items() if name != "fault"} == {  # all of these are the arm's
+        name: value for name, value in cell.items() if name != "fault"
+    }
+    assert {c["fault"] for c in pooled(found)} == {POOLED, FAMILIES[0]}
     assert (cell["fault"], cell["n"]) == ("pooled", 6)
     assert values(cell)["tasks"] == pytest.approx(3 / 6)
     assert values(cell)["tnr"] == pytest.approx(2 / 5)  # of what needs no alarm: three of the payload, two undisturbed

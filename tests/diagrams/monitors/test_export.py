@@ -11,7 +11,7 @@ import pytest
 
 from diagrams import bench
 from diagrams.monitors.bench_task import job_of, run_bench_task
-from diagrams.monitors.export import DIGESTS, LEROBOT, ROBOMIMIC
+from diagrams.monitors.export import DIGESTS, LEROBOT, ROBOMIMIC, _table
 from diagrams.monitors.replays import tasks_of
 from diagrams.monitors.tapes import run_taped
 from diagrams.world.configuration import World
@@ -69,6 +69,16 @@ def test_hdf5_holds_the_runs_of_the_bench(made):
         assert np.ptp(disturbed["obs/features"][()], axis=0).any()
         first = disturbed["obs/recalled_postures"][0].reshape(11, 8)
         assert first == pytest.approx(np.tile(World().initial_posture, (11, 1)))
+
+
+def test_what_was_scored_alone_has_no_outcome(tmp_path):
+    alone = dict(fault="A", severity=None, rnn="lstm", training_seed=0, seed=1, needed=True, recovery="hold")
+    rows = [dict(detector="never", success=False, alarm_s=None, false_alarms=0),
+            dict(detector="oracle", success=True, alarm_s=1.0, false_alarms=0),
+            dict(detector="recall", success=None, alarm_s=1.0, false_alarms=0)]  # fmt: skip
+    pd.DataFrame([alone | row for row in rows]).to_parquet(tmp_path / "bench.parquet")
+    episode = "A", None, "lstm", 0, 1
+    assert _table(tmp_path) == ({episode: {"never": False, "oracle-hold": True}}, {(*episode, "oracle")})
 
 
 def test_both_data_sets_have_the_same_numbers(made):

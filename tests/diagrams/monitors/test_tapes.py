@@ -66,7 +66,9 @@ def learned(name, folder, policy, tape):
     return fit(name, policy, [tape]) if source == "network" else {}
 
 
-@pytest.mark.parametrize("name", ["recall", "innovation", "innovation_cusum", "ensemble", "rnd", "speed"])
+@pytest.mark.parametrize(
+    "name", ["recall", "innovation", "recall_innovation", "innovation_cusum", "ensemble", "rnd", "speed"]
+)
 def test_a_replay_is_the_loop(world, folder, policy, run, name):
     arrays = learned(name, folder, policy, run.tape)
     save_detector(detector_file(folder, name), StoredDetector(name, arrays))
