@@ -177,7 +177,7 @@ def finish(
     errors: list[str],
 ) -> int:
     """Writes and prints what the rows say; returns the exit code."""
-    from diagrams.monitors.bench_table import cells, half_noticed, pooled, records, text, worth, write_table
+    from diagrams.monitors.bench_table import cells, flat, half_noticed, pooled, records, text, worth, write_table
 
     recoveries = list({RECOVERIES.label(spec): spec for spec in arguments.recoveries}.values())
     found = records(off, loops, rows, recoveries, period, arguments.acting)
@@ -202,7 +202,7 @@ def finish(
     write_text(summary_path, json.dumps(summary, indent=1) + "\n")
     shown = [r | {"network": policy_name(r["rnn"], r["training_seed"]).removesuffix(".onnx")} for r in found]
     gamma = {name: {label: g["gamma"] for label, g in of.items()} for name, of in promises.items()}
-    page = write_explorer(arguments.out, of_all + of_each, shown, gamma, BETA, period)
+    page = write_explorer(arguments.out, [flat(cell) for cell in of_all + of_each], shown, gamma, BETA, period)
     write_replays(arguments.out / SHOWN)
     print(text(summary))
     for error in errors:

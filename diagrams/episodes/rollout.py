@@ -22,7 +22,7 @@ from diagrams.episodes.run_log import COMMAND, RunLog
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
-from diagrams.world.clearance_map import add_clearance_filter
+from diagrams.world.clearance_map import add_clearance_filter, tell_of_cans
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.faults.registry import FAULTS
@@ -167,6 +167,7 @@ class Rollout:
         """A fresh Context of `diagram` for `episode`, at time 0; `calibration` instead of the constructor's."""
         station, context = self.station, self.diagram.CreateDefaultContext()
         station.set_scene(context, np.asarray(episode.can_xy), episode.vacant)
+        tell_of_cans(self.diagram, context, station)
         self._set_disturbance(context, episode)
         if self.hands is not None:
             self.hands.set(context, episode.hands, episode.seed)

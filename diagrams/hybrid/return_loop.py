@@ -11,7 +11,7 @@ from pydrake.systems.primitives import PassThrough
 
 from diagrams.episodes.store import of_plain
 from diagrams.episodes.way_home import WayHome
-from diagrams.world.clearance_map import add_clearance_filter
+from diagrams.world.clearance_map import add_clearance_filter, tell_of_cans
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
 from diagrams.world.station import PickPlaceStation, can_body, controller_limits
@@ -172,6 +172,7 @@ class ReturnLoop:
             X_WC = plant.GetFrameByName("grasp").CalcPoseInWorld(local).multiply(X_GRASP_CAN)
             plant.SetFloatingBaseBodyPoseInWorldFrame(local, can_body(plant, CANS[0]), X_WC)
             plant.SetFreeBodySpatialVelocity(local, can_body(plant, CANS[0]), SpatialVelocity(np.zeros(6)))
+        tell_of_cans(self.diagram, context, station)
         # The plant's step at time 0 sees the state before the tick's update: the posture, not the initial one.
         history = self.diagram.GetSubsystemByName("posture_history")
         start = np.append(joints, world.closed_opening if held else world.opening)

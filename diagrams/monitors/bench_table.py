@@ -168,6 +168,12 @@ def _cell(own: list[Record], base: list[Record]) -> dict[str, Any]:
     return labelled | {"disturbed": measured(everyone, "disturbed", JUDGED)}
 
 
+def flat(cell: Record) -> Record:
+    """A cell without entries within entries: `disturbed_tpr` and its like."""
+    inner = {f"disturbed_{name}": value for name, value in cell["disturbed"].items()}
+    return {name: value for name, value in cell.items() if name != "disturbed"} | inner
+
+
 def worth(found: Sequence[Record]) -> list[Record]:
     """How often each label of an alarm, or of a silence, and by whether there was a fault, and what came of it.
 

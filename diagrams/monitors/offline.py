@@ -1,5 +1,6 @@
 """`bench.py offline`: detectors on recorded runs of anybody's arm and policy, of which no hidden state is known."""
 
+import collections
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -157,9 +158,12 @@ class Offline:
         return 0
 
     def _motions(self) -> list[Motion]:
-        """All runs; raises InputError for those of two arms, or shorter than a window."""
+        """All runs; raises InputError for those of two arms, for one that comes twice, or is shorter than a window."""
         found = [motion for path in self.data for motion in read_motions(path, self.state)]
         widths = [(motion.states.shape[1], motion.actions.shape[1]) for motion in found]
+        for name, times in collections.Counter(motion.name for motion in found).items():
+            if times > 1:
+                raise InputError(f"{times} runs of --data are called {name}: give each once, under a name of its own")
         for motion, width in zip(found, widths, strict=True):
             if width != widths[0]:
                 raise InputError(

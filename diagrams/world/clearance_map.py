@@ -24,7 +24,7 @@ from pydrake.planning import (
     RobotDiagramBuilder,
     SceneGraphCollisionChecker,
 )
-from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ZeroOrderHold
 
 from diagrams.world.configuration import World
@@ -230,6 +230,17 @@ def add_clearance_filter(
         builder.Connect(station.GetOutputPort("can_poses"), hold.get_input_port())
         builder.Connect(hold.get_output_port(), system.GetInputPort("obstacles"))
     return system.GetOutputPort("filtered_posture")
+
+
+def tell_of_cans(diagram: Diagram, root: Context, station: PickPlaceStation) -> None:
+    """Tells the filter in `diagram`, if it has one that is told, where the cans stand in the root Context.
+
+    For its beginning: before the first tick nothing has told it.
+    """
+    if diagram.HasSubsystemNamed("obstacles_hold"):
+        hold = diagram.GetSubsystemByName("obstacles_hold")
+        poses = station.GetOutputPort("can_poses").Eval(station.GetMyContextFromRoot(root))
+        hold.SetVectorState(hold.GetMyMutableContextFromRoot(root), poses)
 
 
 class _View:

@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diagrams.episodes.episode import Episode
 from diagrams.episodes.fingerprint import fingerprint
 from diagrams.episodes.pool import Pool
+from diagrams.episodes.rollout import Rollout
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid import return_loop, return_trajectories
 from diagrams.hybrid.return_loop import GRASPED_GAP, ReturnLoop, Trajectory
@@ -44,6 +46,17 @@ def test_trajectory_home_is_replayed_bit_by_bit(loop, world):
     assert np.array_equal(rows, loop.run(start, CAN, "left").rows)
     assert np.array_equal(rows[0], start)
     assert np.abs(rows[-1] - world.initial_posture[:7]).max() < np.deg2rad(3.0)
+
+
+def test_a_filter_that_is_told_of_the_cans_knows_them_from_the_first_step(world, encoder, policy):
+    known = replace(world, clearance=Clearance(cans="known", learned_motion=True))
+    assert ReturnLoop(known).run(world.initial_posture[:7] + 0.2, CAN, "left").arrival(world.initial_posture[:7]) > 0
+    rollout, episode = Rollout(known, encoder, policy), Episode(0, (0.5, 0.0), "left")
+    hold, context = rollout.diagram.GetSubsystemByName("obstacles_hold"), rollout.create_context(episode)
+    assert hold.get_output_port().Eval(hold.GetMyContextFromRoot(context))[4:6] == pytest.approx([0.5, 0.0])
+    policy.learn(episode)
+    _, record = rollout.run(episode, time_limit=0.3)
+    assert len(record.time) > 2
 
 
 def test_a_simulation_that_breaks_off_did_not_arrive(loop, world, monkeypatch):

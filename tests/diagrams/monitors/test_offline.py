@@ -174,6 +174,8 @@ def test_bad_data_are_named(tmp_path):
         match=r"seven.hdf5/demo_0 has states and actions of \(3, 7\) components, others .*: give runs of one arm",
     ):
         offline("--data", few, other, *given)
+    with pytest.raises(InputError, match=r"2 runs of --data are called seven\.hdf5/demo_0: give each once"):
+        offline("--data", other, other, *given)
     with h5py.File(few, "r+") as file:
         file["data/demo_0/obs/rest"][3] = np.nan
     with pytest.raises(InputError, match=r"few\.hdf5/demo_0 has states .* no finite rows"):
