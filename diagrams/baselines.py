@@ -37,7 +37,7 @@ from diagrams.world.names import ARM_JOINTS, DISTURBANCES, ENCODER, WEIGHTS
 from diagrams.world.scenario import load_world
 from models.checks import Range, require_numbers
 from models.command_line import run
-from models.data.runs import SOURCES
+from models.data.runs import SOURCES, learned
 from models.errors import InputError
 from models.files.container import locked
 from systems.detectors import DETECTORS
@@ -163,11 +163,11 @@ def _learned(arguments: BaselinesArguments, spec: str, policies: dict[Path, Any]
 
         assert arguments.data is not None
         runs = [demo.posture[:, :ARM_JOINTS] for demo in read_demonstrations(arguments.data, "train")]
-        return DETECTORS[spec].fit(runs)
+        return learned(DETECTORS[spec], runs)
     if source == "policies":
         if len(kinds := {policy.name for policy in policies.values()}) > 1:
             raise InputError(f"the detector '{spec}' takes networks of one kind, not {', '.join(sorted(kinds))}")
-        return DETECTORS[spec].fit([path.read_bytes() for path in policies])
+        return learned(DETECTORS[spec], [path.read_bytes() for path in policies])
     return {}
 
 

@@ -162,8 +162,13 @@ def make_detector(detector: str, policy, folder: Path) -> System:
     arrays = of_policy(getattr(policy, "hash", ""), stored)
     whose = "" if label in UNFITTED else f"{detector_file(folder, detector)}: "
     try:
-        return DETECTORS[detector].build(policy, ARM_JOINTS, arrays)
+        system = DETECTORS[detector].build(policy, ARM_JOINTS, arrays)
     except InputError as error:  # of the file
         raise InputError(f"{whose}{error}") from error
     except ValueError as error:
         raise InputError(f"{whose}the detector '{label}' cannot be built for this policy: {error}") from error
+    if not isinstance(system, System):
+        raise InputError(
+            f"the detector '{label}' cannot be built: its `build` returns {system!r:.60}, no system of Drake"
+        )
+    return system

@@ -30,7 +30,7 @@ from diagrams.monitors.tapes import replay, require_sound
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, ENCODER
 from diagrams.world.scenario import naming_file
-from models.data.runs import SOURCES, Tape, fitted_for, of_policy
+from models.data.runs import SOURCES, Tape, fitted_for, learned, of_policy
 from models.errors import InputError
 from models.files.container import WeightsError, write_bytes
 from models.files.detectors import StoredDetector, load_detector, save_detector
@@ -163,11 +163,11 @@ class Fitted:
         if source not in SOURCES:
             raise InputError(f"the detector '{spec}' learns from '{source}': choose from {', '.join(SOURCES)}")
         if source == "policies":
-            return detector.fit([path.read_bytes() for path in _of_kind(self.folder, self.network.rnn)])
+            return learned(detector, [path.read_bytes() for path in _of_kind(self.folder, self.network.rnn)])
         runs: list[Any] = tapes
         if source == "postures":  # no demonstrations here: the same runs as all others
             runs = [policy.scaling.unscale(tape.posture)[:, :ARM_JOINTS] for tape in tapes]
-        return fitted_for(policy.hash, detector.fit(runs))
+        return fitted_for(policy.hash, learned(detector, runs))
 
     def scored(self, gammas: Mapping[str, float] | None = None) -> tuple[Scored, ...]:
         """The detectors with these `gammas`, by label; None: they are not known yet."""

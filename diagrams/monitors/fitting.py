@@ -14,7 +14,7 @@ from diagrams.episodes.switching import DETECTED
 from diagrams.episodes.thresholds import conformal, misses, spans
 from diagrams.monitors.tapes import TapedRun, replay, taped
 from diagrams.world.configuration import World
-from models.data.runs import Tape, fitted_for
+from models.data.runs import Tape, fitted_for, learned
 from models.errors import InputError
 from systems.detectors import DETECTORS
 
@@ -65,7 +65,7 @@ class Tapes:
 
 def fit(spec: str, policy: Any, tapes: Sequence[Tape]) -> dict[str, np.ndarray]:
     """What the detector learns from `tapes` of `policy`, under the names of a file with other networks'."""
-    return fitted_for(policy.hash, DETECTORS[spec].fit(list(tapes)))
+    return fitted_for(policy.hash, learned(DETECTORS[spec], list(tapes)))
 
 
 def calibrate(tapes: Tapes, make: Callable[[], System], delta: float) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -18,7 +18,7 @@ from diagrams.monitors.tapes import replay, require_sound
 from models.checks import LARGEST_SEED, require_numbers, require_plain
 from models.command_line import require, require_writable
 from models.data.motions import Motion, read_motions
-from models.data.runs import Tape
+from models.data.runs import Tape, learned
 from models.data.scaling import MinMaxScaling
 from models.data.windows import WINDOW
 from models.errors import InputError
@@ -93,7 +93,7 @@ def make_offline(spec: str, arm: Arm, motions: list[Motion], joints: int) -> Sys
     tapes: list[Any] = [arm.tape(motion) for motion in motions]
     runs = [motion.states[:, :joints] for motion in motions] if source == "postures" else tapes
     try:
-        detector = kind.build(arm, joints, kind.fit(runs))
+        detector = kind.build(arm, joints, learned(kind, runs))
     except InputError:
         raise
     except ValueError as error:

@@ -1,9 +1,12 @@
 """What a detector learns from: runs as its ports had them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from models.errors import InputError
 
 # What the `fit` of a detector is given, by its attribute `learns_from`:
 #   postures: runs (T_i, J), rad, of the demonstrations; one fit for every network.
@@ -38,6 +41,20 @@ def rows_of(runs: Sequence[Tape], *names: str) -> np.ndarray:
     """(sum T_i, D) what the ports `names` had, side by side, run after run."""
     parts = [[getattr(run, name).reshape(len(run.posture), -1) for name in names] for run in runs]
     return np.vstack([np.hstack(part) for part in parts])
+
+
+def learned(detector: Any, runs: list[Any]) -> dict[str, np.ndarray]:
+    """What the class `detector` learns from `runs`: its `fit`; raises InputError unless that is arrays by name."""
+    found = detector.fit(runs)
+    if not isinstance(found, Mapping) or not all(
+        isinstance(name, str) and isinstance(array, np.ndarray) and array.dtype.kind in "biuf"
+        for name, array in found.items()
+    ):
+        raise InputError(
+            f"{detector.__name__}.fit returns {found!r:.60}: it must return arrays of numbers by name, or {{}} where "
+            "nothing is learned"
+        )
+    return dict(found)
 
 
 def fitted_for(policy_hash: str, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -3,10 +3,14 @@
 import json
 import sys
 
+import numpy as np
 import pytest
 
 from diagrams import bench
+from diagrams.episodes.calibration import make_detector
 from models.errors import InputError
+from models.files.detectors import StoredDetector, save_detector
+from models.inference import Policy
 from tests.diagrams import bench_fakes
 from tests.diagrams.monitors.test_offline import offline, save
 from tests.diagrams.test_bench import arguments
@@ -79,6 +83,28 @@ def test_what_cannot_be_trusted_is_named(tmp_path, write, monkeypatch, errors, w
     words = words.replace("'theirs'", "'other_package:Theirs'")
     with pytest.raises(InputError, match=words):
         offline("--data", file, "--state", "rest", "--detectors", "other_package:Theirs", "--out", tmp_path)
+
+
+@pytest.mark.parametrize("fitted", ["None", "[1.0]", '{"one": None}', "{1: np.ones(1)}", '{"one": np.array([None])}'])
+def test_a_fit_that_returns_no_arrays_is_named(tmp_path, write, monkeypatch, fitted):
+    monkeypatch.setattr(bench, "run_bench_task", bench_fakes.bench_row)
+    write(SOUND)
+    path = tmp_path / "other_package.py"
+    path.write_text(path.read_text().replace('{"one": np.ones(1)}', fitted))
+    (tmp_path / "weights").mkdir()
+    weights = save_untrained(tmp_path / "weights")
+    with pytest.raises(InputError, match=r"Theirs\.fit returns .*: it must return arrays of numbers by name"):
+        bench.main(arguments(weights, tmp_path / "out", detectors=["other_package:Theirs"]))
+
+
+def test_a_build_that_returns_no_system_is_named(tmp_path, write):
+    write(SOUND)
+    path = tmp_path / "other_package.py"
+    path.write_text(path.read_text().replace("return Theirs(policy)", "Theirs(policy)"))
+    weights = save_untrained(tmp_path)
+    save_detector(tmp_path / "theirs.safetensors", StoredDetector("theirs", {"one": np.ones(1)}))
+    with pytest.raises(InputError, match="'theirs' cannot be built: its `build` returns None, no system of Drake"):
+        make_detector("other_package:Theirs", Policy(weights / "lstm.onnx"), tmp_path)
 
 
 def test_a_changed_one_is_fitted_and_run_again(tmp_path, write, monkeypatch):
