@@ -27,7 +27,7 @@ from diagrams.hybrid.defeat_report import clusters, plain
 from diagrams.hybrid.estimates import of_count, of_repetitions
 from diagrams.hybrid.falsification import scenario_of
 from diagrams.hybrid.severity import DEFEATED
-from diagrams.hybrid.splitting import Kernel, Splitting, require_sizes, split
+from diagrams.hybrid.splitting import Kernel, Splitting, above_level, require_sizes, split
 from diagrams.world.configuration import World
 from diagrams.world.names import WEIGHTS
 from diagrams.world.scenario import save_scenario
@@ -201,7 +201,11 @@ def report(
              "stages": [asdict(stage) for stage in run.stages]} for run in repetitions
         ],
         "levels": [stage.level for stage in runs[0].stages],
-        "above_levels": of_repetitions([run.passed for run in repetitions], smallest, drawn).plain(),
+        "above": [
+            {"level": stage.level} | of_repetitions(passed, smallest, drawn).plain()
+            for number, stage in enumerate(runs[0].stages)
+            if any(passed := [above_level(run, number) for run in repetitions])
+        ],  # the levels that some repetition passed
         "by_failure": by_failure, "task": None if task is None else task.plain(),
         "brute": None, "overlap": None,
     }  # fmt: skip
@@ -251,8 +255,8 @@ def words(kind: str, found: dict[str, Any]) -> str:
         f"disturbance {kind}: defeated with probability {of(found)} by {found['episodes']} episodes "
         f"({ticks['saved'] / max(ticks['all'], 1):.0%} of their ticks saved by clones){task(found)}"
     )
-    if not found["defeats_found"] and found["levels"]:
-        text += f"; none was found, up to the level {found['levels'][-1]:.3f} of {of(found['above_levels'])}"
+    if not found["defeats_found"] and found["above"]:
+        text += f"; none was found, and beyond the level {found['above'][-1]['level']:.3f} are {of(found['above'][-1])}"
     for failure, entry in found["by_failure"].items():
         text += f"; {failure}: {of(entry)}"
     if found["brute"] is not None:

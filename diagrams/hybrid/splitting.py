@@ -17,6 +17,7 @@ as is nearer to `kept`. A pilot whose whole population has one level short of th
 once what is above them is as rare as is asked for.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -78,10 +79,14 @@ class Splitting:
     evaluations: int
     extinct: bool  # no point is left above a level, or at the target
     smallest: float  # the estimate that one point alone of the last population would have given
-    passed: float  # the probability of a point above the last level
     # Of the evaluations, numbered from 0 as they were asked for: those that some point died or ended with, each with
     # the probability that it stands for. Their sum is 1, and sum of weight f estimates the mean of any f.
     weights: list[tuple[int, float]] = field(default_factory=list)
+
+
+def above_level(run: Splitting, number: int) -> float:
+    """What the run says of the probability of a point above its level of that number, from 0 on."""
+    return math.prod(stage.share for stage in run.stages[: number + 1]) if number < len(run.stages) else 0.0
 
 
 def split(
@@ -131,7 +136,7 @@ def split(
         above = found > level
         weights += [(int(number), weight / population) for number in numbers[~above]]
         if not above.any():
-            return Splitting(0.0, stages, evaluations, True, weight / population, 0.0, weights)
+            return Splitting(0.0, stages, evaluations, True, weight / population, weights)
         source = copies(np.flatnonzero(above), population, rng)
         points, found, numbers, taken = points[source], found[source], numbers[source], 0
         for _ in range(moves):
@@ -149,7 +154,7 @@ def split(
     reached = int(np.sum(found >= target))
     share = weight / population
     weights += [(int(number), share) for number in numbers]
-    return Splitting(share * reached, stages, evaluations, reached == 0, share, weight, weights)
+    return Splitting(share * reached, stages, evaluations, reached == 0, share, weights)
 
 
 def copies(alive: np.ndarray, population: int, rng: np.random.Generator) -> np.ndarray:

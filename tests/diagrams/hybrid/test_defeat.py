@@ -31,7 +31,7 @@ def case(seed=0, kind="B", level=0.5, failure=None, done=True, subtask=2, begins
 
 
 def run(estimate, weights, evaluations=4):
-    return Splitting(estimate, [Stage(0.5, 0.3, 0.4)], evaluations, estimate == 0.0, 0.01, 0.3, weights)
+    return Splitting(estimate, [Stage(0.5, 0.3, 0.4)], evaluations, estimate == 0.0, 0.01, weights)
 
 
 LOST = case(1, failure="not resumed", done=False)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, kstest, norm
 
 from diagrams.hybrid.estimates import of_repetitions
-from diagrams.hybrid.splitting import Kernel, Stage, copies, split, stage_level
+from diagrams.hybrid.splitting import Kernel, Stage, above_level, copies, split, stage_level
 from models.errors import InputError
 
 SIZE = 6
@@ -55,10 +55,13 @@ def within_errors(found, probability):
 def test_what_is_rarer_is_not_looked_for():
     """A target far out of reach: what is above the last level has a known probability, about as rare as asked for."""
     found = runs(LEVELS["norm"], 50.0, 0, 12, 300, rarest=1e-3)
-    passed = np.array([r.passed for r in found])
+    last = len(found[0].stages) - 1
+    passed = np.array([above_level(r, last) for r in found])
     truth = chi2.sf(found[0].stages[-1].level ** 2, SIZE)
     assert 1e-3 / 5 < truth < 1e-3
     assert abs(passed.mean() - truth) < 3.5 * passed.std(ddof=1) / np.sqrt(len(found)) < truth
+    assert above_level(found[0], 0) == found[0].stages[0].share
+    assert above_level(found[0], last + 1) == 0.0
     assert all(r.extinct and r.estimate == 0.0 and len(r.stages) == len(found[0].stages) for r in found)
     with pytest.raises(InputError, match="do not reach 50 in 100 stages"):
         run(LEVELS["norm"], 50.0, 0)
