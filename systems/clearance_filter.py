@@ -14,7 +14,7 @@ WITHIN = 0.15  # m: what is farther has no say in a step; a step that leads beyo
 RESOLUTION = 0.01  # the proof of a step ends where it comes that near to the least distance, in parts of it
 PRESENT = 0.9
 MOST_PIECES = 50  # of one step's proof
-PROGRESS = 0.1  # dm' . dm of dm . dm
+PROGRESS = 0.1  # dm' . dm of dm . dm, at least, by which margins are kept
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,7 @@ class Near:
     distances: np.ndarray  # (n,) m; negative: so deep in each other
     jacobians: np.ndarray  # (n, J) their derivatives by the joint angles, m/rad
     pairs: np.ndarray  # (n,) numbers that tell one pair from another
-    margins: (
-        np.ndarray
-    )  # (n,) m: to be kept beyond the gap, since one of the two may not be just where it is taken to be
+    margins: np.ndarray  # (n,) m, >= 0: kept beyond the gap, as one of the two may be elsewhere than it is taken to be
 
 
 class View(Protocol):

@@ -40,9 +40,9 @@ def RecallDetector_(T):
         """l_0 judges the prediction m^R_k against m_k, l_n what c_{k-1} recalls of tick k - 1 - n against m_{k-1-n}.
 
         With `features` one criterion more and two inputs, features and predicted_features: the square of
-        InnovationDetector's l_2, the mean square of f^R_k - f_k. On normal runs the largest l_2 are near to each other
-        and the largest l_n far apart; by its mean the square has the largest that they have, so that the one gamma is
-        right for all: l_2 itself would never come to it (diagrams/BENCH.md has the figures).
+        InnovationDetector's l_2, the mean square of f^R_k - f_k (dimensionless). On normal runs the largest l_2 are
+        near to each other and the largest l_n far apart: by its mean the square has a largest like theirs, so that one
+        gamma is right for all; l_2 itself would never come to it.
 
         .. pydrake_system::
 
