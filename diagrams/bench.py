@@ -14,7 +14,7 @@ Exit code 0: done; 1: some episode raised an error; 2: bad input.
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -77,17 +77,31 @@ class Crew:
     def __init__(self, arguments: BenchArguments, store: RowStore, pool: Pool):
         self._arguments, self._store, self._pool = arguments, store, pool
 
-    def run(self, words: str, tasks: Iterable[BenchTask]) -> list[str]:
-        """Runs those of `tasks` that are missing; returns the errors of all, a line each."""
+    def run(
+        self,
+        words: str,
+        tasks: Iterable[BenchTask],
+        parts: Callable[[list[BenchTask]], Iterable[list[BenchTask]]] = lambda missing: [missing],
+    ) -> list[str]:
+        """Runs those of `tasks` that are missing; returns the errors of all, a line each.
+
+        `parts`: makes parts of what is missing, one to be run after another, and may leave some out.
+        """
         from tqdm import tqdm
 
-        asked, rows, folder = list(tasks), self._store.rows, self._arguments.out
+        asked, rows, folder, handed = list(tasks), self._store.rows, self._arguments.out, set[str]()
         missing = [t for t in asked if not t.done_by(rows.get(t.key)) or not self._kept(t)]
         missing.sort(key=lambda task: task.diagram)
         print(f"{words}: {len(asked)} episodes, {len(asked) - len(missing)} of them done", flush=True)
         if missing:
             pool, function = self._workers()
-            done = believed(pool.run(function, missing, given_up=error_row))  # type: ignore[arg-type]
+
+            def found() -> Iterator[tuple[BenchTask, dict]]:
+                for part in parts(missing):
+                    handed.update(task.key for task in part)
+                    yield from pool.run(function, part, given_up=error_row)
+
+            done = believed(found())  # type: ignore[arg-type]
             with tqdm(total=len(missing), desc=words, unit="episode", smoothing=0.1, disable=None) as bar:
                 for task, row in done:
                     if (tape := row.pop(TAPES, None)) is not None:
@@ -96,9 +110,10 @@ class Crew:
                         write_bytes(folder / SHOWN / f"{task.key}{suffix}", content)
                     self._store.add(task.key, row)
                     bar.update()
-        if lost := sum(task.key not in rows for task in asked):
+        if lost := len(handed - rows.keys()):
             raise InputError(f"{lost} episodes were given up by the cluster: start again with the same --out")
-        return [f"{task.key}: {rows[task.key]['error']}" for task in asked if rows[task.key]["error"] is not None]
+        errors = ((task.key, rows[task.key]["error"]) for task in asked if task.key in rows)
+        return [f"{key}: {error}" for key, error in errors if error is not None]
 
     def _kept(self, task: BenchTask) -> bool:
         """Whether the file that the task leaves is there."""
@@ -126,6 +141,7 @@ def main(arguments: BenchArguments | Export | Offline | Coverage) -> int:
         return make_replay(arguments.out, arguments.replay)
     require("pandas", "pyarrow", "scipy", "sklearn", *(["distributed"] if arguments.scheduler else []))
     from diagrams.monitors.bench_table import TABLE
+    from diagrams.monitors.comparison import looks, rounds
 
     arguments.check()
     world, out = load_world(arguments.world), arguments.out
@@ -157,7 +173,13 @@ def main(arguments: BenchArguments | Export | Offline | Coverage) -> int:
             off += switched_off(arguments, world, network, fitted.scored({n: c.gamma for n, c in found.items()}))
         errors += crew.run("detectors off", off)
         loops = [task for episode in off for task in in_loop(arguments, episode, store.rows[episode.key])]
-        errors += crew.run("detectors in the loop", loops)
+        if arguments.stop_when_decided:
+            two, rows = arguments.compared, store.rows
+            errors += crew.run("detectors in the loop", loops, partial(rounds, two, off, loops, rows))
+            off = [task for some in looks(two, off, loops, rows) for task in some]
+            loops = [task for task in loops if task.episode in {episode.episode for episode in off}]
+        else:
+            errors += crew.run("detectors in the loop", loops)
         return finish(arguments, world.timing.period, off, loops, store.rows, promises, errors)
 
 
@@ -178,6 +200,7 @@ def finish(
 ) -> int:
     """Writes and prints what the rows say; returns the exit code."""
     from diagrams.monitors.bench_table import cells, flat, half_noticed, pooled, records, text, worth, write_table
+    from diagrams.monitors.comparison import comparison_text, comparisons
 
     recoveries = list({RECOVERIES.label(spec): spec for spec in arguments.recoveries}.values())
     found = records(off, loops, rows, recoveries, period, arguments.acting)
@@ -189,11 +212,13 @@ def finish(
     for name in ("out", "workers", "replay", *cluster):  # which say nothing of what was found
         del given[name]
     of_each, of_all = cells(found), pooled(found)
+    compared = comparisons(found, arguments.compared if arguments.stop_when_decided else None)
     summary = {
         "arguments": given,
         "cells": of_each,
         "pooled": of_all,
         "labels": worth(found),
+        "comparisons": compared,
         "half_noticed": half_noticed(found),
         "gammas": promises,
         "void": sum(bool(rows[task.key].get("void")) for task in off),
@@ -204,7 +229,7 @@ def finish(
     gamma = {name: {label: g["gamma"] for label, g in of.items()} for name, of in promises.items()}
     page = write_explorer(arguments.out, [flat(cell) for cell in of_all + of_each], shown, gamma, BETA, period)
     write_replays(arguments.out / SHOWN)
-    print(text(summary))
+    print("\n\n".join(filter(None, (text(summary), comparison_text(compared)))))
     for error in errors:
         say(error)
     print(f"written: {path}, {summary_path}, {page}")

@@ -70,7 +70,8 @@ def main(arguments: SweepArguments) -> int:
                 rows[task.key].get(name) != getattr(task, name) for name in HASHES
             ):
                 raise InputError(
-                    f"{out} holds episodes of other weights than {arguments.weights} has now: choose another --out"
+                    f"{out} holds episodes of other weights than {arguments.weights} has now, or of another version of "
+                    "your detector or fault: choose another --out"
                 )
         require_rows(out / ROWS, rows)
         if more := rows.keys() - {task.key for task in tasks}:

@@ -21,6 +21,7 @@ from systems.recoveries.registry import RECOVERIES, SHIPPED
 NEVER, ORACLE = "never", "oracle"  # the two that every detector is measured by
 NONE = "none"  # the undisturbed episodes, which every table has
 FIT_SEED, CALIBRATION_SEED = 3, 4  # blocks of validation episodes
+Controller = tuple[str, str]  # short name of a detector; recovery
 RANGES: dict[str, Range] = {
     "episodes": (1, SEEDS_APART), "seed": (0, SEED_BLOCKS - 1), "training_seeds": (0, 999),
     "fit_runs": (2, SEEDS_APART), "calibration_runs": (1, SEEDS_APART), "workers": (0, MOST_WORKERS),
@@ -35,6 +36,8 @@ class BenchArguments(ClusterOptions):
     detectors: list[str] = field(default_factory=lambda: [*DETECTORS])  # as in the registry, or package.module:Class
     # short names of those that act in closed loop, the oracle beside them; the others are scored alone. None: all act
     loop: list[str] | None = None
+    # of two that act, or of one and `never`: no more of a fault whose tasks tell them apart; the oracle acts if named
+    stop_when_decided: bool = False
     faults: list[str] = field(default_factory=lambda: [*DISTURBANCES[1:], *FAULTS])  # A, B, ...; none is always there
     severities: list[float] = field(default_factory=lambda: [1.0])  # of the faults, 0 to 1
     episodes: int = 1  # scenes of each fault and severity
@@ -79,6 +82,8 @@ class BenchArguments(ClusterOptions):
         for spec in self.recoveries:
             RECOVERIES.check(spec)
         by_label(RECOVERIES.label, self.recoveries)
+        if self.stop_when_decided:
+            self.compared  # noqa: B018
 
     def require_replay_of(self, bench: "BenchArguments") -> None:
         """Raises InputError for an option beside --replay that is not what that `bench` was run with."""
@@ -97,7 +102,21 @@ class BenchArguments(ClusterOptions):
     def acting(self) -> set[str]:
         """The short names of those that act in closed loop: where one does, the oracle too, whose gap it closes."""
         named = {*self.specs} if self.loop is None else {NEVER, *self.loop}
-        return named | ({ORACLE} if named != {NEVER} else set())
+        return named | ({ORACLE} if named != {NEVER} and not self.stop_when_decided else set())
+
+    @property
+    def compared(self) -> tuple[Controller, Controller]:
+        """The two of --stop-when-decided; raises InputError where there are more of them, or fewer."""
+        acting = [name for name in dict.fromkeys(self.loop or self.specs) if name != NEVER]
+        two = [(label, recovery) for label in acting for recovery in dict.fromkeys(self.recoveries)]
+        if len(two) == 1:
+            two.append((NEVER, two[0][1]))
+        if len(two) != 2:
+            raise InputError(
+                f"--stop-when-decided compares two that act in the closed loop, here {len(two)}: give --loop two "
+                "detectors, or one, to compare it with never, and --recoveries one; or one detector and two recoveries"
+            )
+        return two[0], two[1]
 
     @property
     def kinds(self) -> list[tuple[str, float | None]]:

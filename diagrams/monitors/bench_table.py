@@ -45,31 +45,20 @@ def records(
     detectors that are not in `acting` (None: all are) nobody knows what comes of it: `success`, `lost_s` and `label`
     are None.
     """
-    acted = {(t.rnn, t.training_seed, t.kind, t.severity, t.seed, t.detectors[0].label, t.recovery): t for t in loops}
-    found = []
+    acted, found = by_episode(loops), list[Record]()
     for task in off:
         row = rows[task.key]
         if row["error"] is not None or row["void"]:
             continue
-        episode = task.rnn, task.training_seed, task.kind, task.severity, task.seed
         never = bool(row["success"])
-
-        def done(label: str, recovery: str, episode=episode, never=never) -> tuple[bool, float] | None:
-            """Success and seconds in the loop; None: it raised an error there."""
-            loop = acted.get((*episode, label, recovery))
-            if loop is None:
-                return never, 0.0
-            ran = rows[loop.key]
-            return None if ran["error"] is not None else (bool(ran["success"]), ran["sim_seconds"])
-
         for recovery in recoveries:
-            oracle = done(ORACLE, recovery)
+            oracle = came_of(task, ORACLE, recovery, acted, rows)
             for scored in task.detectors:
-                own = done(scored.label, recovery)
+                own = came_of(task, scored.label, recovery, acted, rows)
                 if own is None or oracle is None:
                     continue
                 said, onset = row["detectors"][scored.label], row["onset"]
-                acts = (*episode, scored.label, recovery) in acted
+                acts = (*task.episode, scored.label, recovery) in acted
                 known = acting is None or scored.label in acting
                 needless = acts and never and own[0]
                 found.append(
@@ -103,6 +92,25 @@ def records(
     for record, label in zip(looped, labels(monitored(looped)).tolist() if looped else (), strict=True):
         record["label"] = label
     return found
+
+
+def by_episode(loops: Iterable[BenchTask]) -> dict[tuple, BenchTask]:
+    """Those of the closed loop by episode, short name of the detector, and recovery."""
+    return {(*task.episode, task.detectors[0].label, task.recovery): task for task in loops}
+
+
+def came_of(
+    off: BenchTask, label: str, recovery: str, acted: Mapping[tuple, BenchTask], rows: Rows
+) -> tuple[bool, float] | None:
+    """Success and seconds of the episode with that detector and recovery; None: it raised an error, or was not run.
+
+    `acted`: see `by_episode`. A detector that did not alarm had no run of its own: what came of it is that of `off`.
+    """
+    loop = acted.get((*off.episode, label, recovery))
+    row = rows.get((loop or off).key)
+    if row is None or row["error"] is not None:
+        return None
+    return bool(row["success"]), row["sim_seconds"]
 
 
 def monitored(found: Sequence[Record]) -> Monitored:

@@ -70,6 +70,11 @@ class BenchTask:
         return f"{self.stage}-{self.rnn}-{self.training_seed}-{kind_label(self.kind)}{severity}-{self.seed}{acts}"
 
     @property
+    def episode(self) -> tuple[str, int, str, float | None, int]:
+        """Tasks alike in it are the same episode, with one detector or another, or off."""
+        return self.rnn, self.training_seed, self.kind, self.severity, self.seed
+
+    @property
     def diagram(self) -> tuple[str, ...]:
         """Tasks alike in it share one diagram: run one after another, they build it once (it is never freed)."""
         fault = self.kind if is_fault(self.kind) else ""

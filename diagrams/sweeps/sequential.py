@@ -1,6 +1,6 @@
 """Two controllers compared while the episodes come in: evidence that may be looked at as often as one likes."""
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -28,26 +28,35 @@ def evidence(wins: int | np.ndarray, discordant: int | np.ndarray, prior: float 
         return np.exp(m * np.log(2.0) + betaln(prior + k, prior + m - k) - betaln(prior, prior))[()]
 
 
+def scenes_won(differences: Iterable[tuple[int, int]]) -> tuple[int, int]:
+    """In how many scenes the first of two controllers did more, and in how many they did not do the same.
+
+    `differences`: scene, and the tasks done by the first less those by the second, of one run or of all; a scene has as
+    many as it likes, of several training seeds or faults: their sum counts.
+    """
+    more: dict[int, int] = {}
+    for scene, difference in differences:
+        more[scene] = more.get(scene, 0) + difference
+    return sum(d > 0 for d in more.values()), sum(d != 0 for d in more.values())
+
+
 def evidence_of(tasks: Sequence[Task], rows: Mapping[str, dict[str, Any]]) -> float:
     """e of the tasks done by the two controllers of `tasks`, of which `rows` has some; a scene is a pair.
 
     Over the training seeds of a scene: which of the two did more of them.
     """
-    first, more = (tasks[0].rnn, tasks[0].detector), dict[int, dict[int, int]]()
-    both: dict[tuple[int, int], int] = {}
+    first, one = (tasks[0].rnn, tasks[0].detector), dict[tuple[int, int], int]()
+    both = list[tuple[int, int]]()
     for task in tasks:
         success = rows.get(task.key, {}).get("success")
         if success is None:
             continue
         pair, sign = (task.seed, task.training_seed), 1 if (task.rnn, task.detector) == first else -1
-        if pair in both:
-            of_scene = more.setdefault(task.seed, {})
-            of_scene[task.training_seed] = both[pair] + sign * int(success)
+        if pair in one:
+            both.append((task.seed, one[pair] + sign * int(success)))
         else:
-            both[pair] = sign * int(success)
-    scenes = [sum(of_scene.values()) for of_scene in more.values()]
-    wins = sum(scene > 0 for scene in scenes)
-    return float(evidence(wins, wins + sum(scene < 0 for scene in scenes)))
+            one[pair] = sign * int(success)
+    return float(evidence(*scenes_won(both)))
 
 
 def decided(tasks: Sequence[Task], rows: Mapping[str, dict[str, Any]]) -> dict[str, float]:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
-from diagrams.sweeps.sequential import evidence
+from diagrams.sweeps.sequential import evidence, scenes_won
 from diagrams.world.names import DISTURBANCES
 
 CELL = ["rnn", "detector", "gamma", "disturbance", "severity"]
@@ -157,8 +157,8 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
             for measure, (flag, _) in measures(group).items():
                 both = pairs[pairs[f"{flag}_a"].notna() & pairs[f"{flag}_b"].notna()]
                 more = both[f"{flag}_a"].astype(int) - both[f"{flag}_b"].astype(int)
-                more_on_scene = more.groupby(both["seed"]).sum()
-                scenes_a, scenes_b = int((more_on_scene > 0).sum()), int((more_on_scene < 0).sum())
+                scenes_a, discordant = scenes_won(zip(both["seed"], more, strict=True))
+                scenes_b = discordant - scenes_a
                 found.append(
                     labels
                     | {
@@ -168,11 +168,11 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
                         "n": len(both),
                         "only_a": int((more > 0).sum()),
                         "only_b": int((more < 0).sum()),
-                        "scenes": len(more_on_scene),
+                        "scenes": both["seed"].nunique(),
                         "scenes_a": scenes_a,
                         "scenes_b": scenes_b,
                         "p": sign_test(scenes_a, scenes_b),
-                        "e": float(evidence(scenes_a, scenes_a + scenes_b)),
+                        "e": float(evidence(scenes_a, discordant)),
                     }
                 )
     return found

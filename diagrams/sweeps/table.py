@@ -29,6 +29,7 @@ _OWN = {
     "gamma": pa.float64(),
     "encoder_hash": pa.string(),
     "detector_hash": pa.string(),
+    "own_code": pa.string(),
     "error_peak_normal": pa.float64(),
     "error_peak_disturbed": pa.float64(),
     "error": pa.string(),
@@ -40,7 +41,12 @@ _ROBUSTNESS = {ROBUSTNESS + name: pa.float64() for name in requirements(World().
 SCHEMA = pa.schema(_OUTCOME | _OWN | _ROBUSTNESS)
 _EPISODE = ("rnn", "training_seed", "detector", "gamma", "disturbance", "severity", "seed")
 _KNOWN = (*_EPISODE, "weights_hash", "success", "void", "error")
-LATER = ("traceback", "severity", *_ROBUSTNESS)  # columns that tables of earlier versions lack: they are empty
+LATER = (
+    "traceback",
+    "severity",
+    "own_code",
+    *_ROBUSTNESS,
+)  # columns that tables of earlier versions lack: they are empty
 
 
 def require_rows(path: Path, rows: dict[str, Any]) -> None:

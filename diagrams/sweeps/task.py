@@ -21,7 +21,7 @@ from diagrams.world.requirements import robustness_of
 from models.errors import InputError
 from systems.detectors import DETECTORS
 
-HASHES = ("weights_hash", "encoder_hash", "detector_hash")
+HASHES = ("weights_hash", "encoder_hash", "detector_hash", "own_code")
 # Columns: of each requirement of requirements.stl, see robustness_of; None where the switching is not judged.
 ROBUSTNESS = "robustness_"
 # Entries of a row that are no column of the table: by the folder in --out, the content of a file there, and its suffix.
@@ -52,6 +52,7 @@ class Task:
     files: tuple[str, ...] = ()  # sent along, of FILES
     policy: str | None = None  # package.module:Class, whose name `rnn` is then
     severity: float | None = None  # of a fault; None: of no fault
+    own_code: str | None = None  # hash of the files of a detector and a fault of another package; None: all are ours
     code: str = dataclasses.field(default_factory=code_hash)  # that the sweep was started with
 
     @property

@@ -1,0 +1,122 @@
+"""What acts in the closed loop, compared while the runs come in; the evidence is that of the sweeps."""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from diagrams.monitors.bench_plan import NEVER, NONE, Controller
+from diagrams.monitors.bench_table import POOLED, Record, Rows, by_episode, came_of
+from diagrams.monitors.bench_task import BenchTask
+from diagrams.sweeps.sequential import DECIDED, evidence, scenes_won
+from systems.recoveries.registry import RECOVERIES
+
+LOOK_EVERY = 4  # scenes: so many runs go in parallel
+
+
+def looks(
+    two: tuple[Controller, Controller], off: Sequence[BenchTask], loops: Sequence[BenchTask], rows: Rows
+) -> Iterator[list[BenchTask]]:
+    """The episodes `off`, fault by fault, the scenes between two looks at a time; no more of a fault that is decided.
+
+    `rows`: the caller has those of the `loops` of the episodes that it was given, before it asks for more.
+    """
+    acted, kinds = by_episode(loops), dict[tuple, dict[int, list[BenchTask]]]()
+    for task in off:
+        kinds.setdefault((task.kind, task.severity), {}).setdefault(task.seed, []).append(task)
+    for scenes in kinds.values():
+        seen, left = list[BenchTask](), iter(scenes.values())
+        while some := [task for scene in itertools.islice(left, LOOK_EVERY) for task in scene]:
+            yield some
+            seen += some
+            wins, discordant = scenes_won(_differences(two, seen, acted, rows))
+            if evidence(wins, discordant) >= DECIDED:
+                break
+
+
+def rounds(
+    two: tuple[Controller, Controller],
+    off: Sequence[BenchTask],
+    loops: Sequence[BenchTask],
+    rows: Rows,
+    missing: Sequence[BenchTask],
+) -> Iterator[list[BenchTask]]:
+    """Those of the `loops` that are `missing`, a look at a time."""
+    for some in looks(two, off, loops, rows):
+        episodes = {task.episode for task in some}
+        yield [task for task in missing if task.episode in episodes]
+
+
+def _differences(
+    two: tuple[Controller, Controller], off: Sequence[BenchTask], acted: Mapping[tuple, BenchTask], rows: Rows
+) -> Iterator[tuple[int, int]]:
+    """See `scenes_won`; not of void episodes, nor of those with an error."""
+    for task in off:
+        if not rows[task.key].get("void"):
+            came = [came_of(task, label, recovery, acted, rows) for label, recovery in two]
+            if came[0] is not None and came[1] is not None:
+                yield task.seed, int(came[0][0]) - int(came[1][0])
+
+
+def comparisons(found: Sequence[Record], two: tuple[Controller, Controller] | None = None) -> list[Record]:
+    """Each that acts against `never`, and the `two` against one another: under each fault and severity, and over all.
+
+    Of the `n` episodes that both have, `only_a` and `only_b`: how many but one of them did; of the `scenes`, `scenes_a`
+    and `scenes_b`: in how many one did more, over all training seeds (and faults), and their `e`.
+    """
+    acting = dict.fromkeys((r["detector"], r["recovery"]) for r in found if r["success"] is not None)
+    pairs = dict.fromkeys((who, (NEVER, who[1])) for who in acting if who[0] != NEVER)
+    if two is not None:
+        first, second = ((label, RECOVERIES.label(recovery)) for label, recovery in two)
+        pairs[first, second] = None
+    by: dict[Controller, dict[tuple, bool]] = {who: {} for who in acting}
+    for r in found:
+        if r["success"] is not None:
+            episode = r["fault"], r["severity"], r["training_seed"], r["seed"]
+            by[r["detector"], r["recovery"]][episode] = r["success"]
+    cells = dict.fromkeys((r["fault"], r["severity"]) for r in found)
+    return [
+        _compared(a, b, by[a], by[b], *cell)
+        for cell in (*cells, (POOLED, None))
+        for a, b in pairs
+        if a in by and b in by
+    ]
+
+
+def _compared(
+    a: Controller, b: Controller, of_a: dict[tuple, bool], of_b: dict[tuple, bool], fault: str, severity: float | None
+) -> dict[str, Any]:
+    """An entry of `comparisons`."""
+    both = [
+        (episode[-1], int(done) - int(of_b[episode]))
+        for episode, done in of_a.items()
+        if episode in of_b and (episode[:2] == (fault, severity) if fault != POOLED else episode[0] != NONE)
+    ]
+    wins, discordant = scenes_won(both)
+    names = ({"detector": detector, "recovery": recovery} for detector, recovery in (a, b))
+    return {
+        "fault": fault,
+        "severity": severity,
+        **dict(zip("ab", names, strict=True)),
+        "n": len(both),
+        "only_a": sum(difference > 0 for _, difference in both),
+        "only_b": sum(difference < 0 for _, difference in both),
+        "scenes": len({scene for scene, _ in both}),
+        "scenes_a": wins,
+        "scenes_b": discordant - wins,
+        "e": float(evidence(wins, discordant)),
+    }
+
+
+def comparison_text(found: Sequence[dict[str, Any]]) -> str:
+    """Those over all faults, and those of a fault that is decided; a line each."""
+    lines = list[str]()
+    for c in found:
+        if c["fault"] == POOLED or c["e"] >= DECIDED:
+            a, b = (f"{c[who]['detector']} ({c[who]['recovery']})" for who in "ab")
+            fault = c["fault"] if c["severity"] is None else f"{c['fault']} {c['severity']:g}"
+            verdict = "decided, " if c["e"] >= DECIDED else ""
+            lines.append(
+                f"{fault}: {a} against {b}: of {c['scenes']} scenes {c['scenes_a']} and {c['scenes_b']}; {verdict}"
+                f"e = {c['e']:.3g}"
+            )
+    return "\n".join(lines)
