@@ -50,7 +50,7 @@ from models.errors import InputError
 from models.files.container import write_bytes, write_text
 from systems.recoveries.registry import RECOVERIES
 
-ROWS, SUMMARY = "rows.jsonl", "summary.json"  # in the folder --out
+ROWS, SUMMARY, PICTURE = "rows.jsonl", "summary.json", "bench.png"  # in the folder --out
 # What decides a row beside what decides an episode's; none of the files that make tables of rows.
 ROOMS = (
     *(f"diagrams/monitors/{name}.py" for name in (
@@ -149,7 +149,7 @@ def main(arguments: BenchArguments | Export | Offline | Coverage) -> int:
     made_with |= {"fit_seed": FIT_SEED, "calibration_seed": CALIBRATION_SEED}
     networks = load_networks(arguments, world)
     inside = (path for name in (NETWORKS, TAPES, SHOWN) for path in (out / name).glob("*"))
-    for path in (out / TABLE, out / SUMMARY, out / PAGE, *inside):
+    for path in (out / TABLE, out / SUMMARY, out / PICTURE, out / PAGE, *inside):
         require_plain(path, "choose another --out")
     arguments.require_cluster()
     with RowStore(out / ROWS, fingerprint(world, *ROOMS, **made_with)) as store, Pool(arguments.workers) as pool:
@@ -199,6 +199,7 @@ def finish(
     errors: list[str],
 ) -> int:
     """Writes and prints what the rows say; returns the exit code."""
+    from diagrams.drawing.bench import save_bench
     from diagrams.monitors.bench_table import cells, flat, half_noticed, pooled, records, text, worth, write_table
     from diagrams.monitors.comparison import comparison_text, comparisons
 
@@ -225,6 +226,7 @@ def finish(
         "errors": len(errors),
     }
     write_text(summary_path, json.dumps(summary, indent=1) + "\n")
+    save_bench(summary, {r["fault"]: r["family"] for r in found if r["family"]}, arguments.out / PICTURE)
     shown = [r | {"network": policy_name(r["rnn"], r["training_seed"]).removesuffix(".onnx")} for r in found]
     gamma = {name: {label: g["gamma"] for label, g in of.items()} for name, of in promises.items()}
     page = write_explorer(arguments.out, [flat(cell) for cell in of_all + of_each], shown, gamma, BETA, period)
@@ -232,7 +234,7 @@ def finish(
     print("\n\n".join(filter(None, (text(summary), comparison_text(compared)))))
     for error in errors:
         say(error)
-    print(f"written: {path}, {summary_path}, {page}")
+    print(f"written: {path}, {summary_path}, {arguments.out / PICTURE}, {page}")
     return 1 if errors else 0
 
 

@@ -51,7 +51,7 @@ class BenchArguments(ClusterOptions):
     weights: Path = WEIGHTS  # folder of the networks; the detectors are fitted here
     world: Path | None = None  # YAML file of the world, over the default one
     workers: int = field(default_factory=cores)  # processes of this machine; 0: this one
-    # folder of the rows, the fitted detectors, bench.parquet, summary.json and explorer.html
+    # folder of the rows, the fitted detectors, bench.parquet, summary.json, bench.png and explorer.html
     out: Path = Path("outputs/bench")
     # key of an episode in --out, as explorer.html names it: its 3-D replay and pictures for that page, nothing else
     replay: str | None = None

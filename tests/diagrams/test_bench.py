@@ -35,8 +35,8 @@ CELL = [
     "twa", "detection_s", "false_alarms_per_hour", "seconds_lost", "net_benefit", "gap_closed", "disturbed",
 ]  # fmt: skip
 WRITTEN = (
-    "summary.json", "bench.parquet", "explorer.html", "explorer/replays.js", "networks/mahalanobis.safetensors",
-    "networks/recall_means.safetensors",
+    "summary.json", "bench.parquet", "bench.png", "explorer.html", "explorer/replays.js",
+    "networks/mahalanobis.safetensors", "networks/recall_means.safetensors",
 )  # fmt: skip
 
 
@@ -310,7 +310,16 @@ def test_a_damaged_tape_is_refused_by_name(weights, tmp_path, faked, ticks, post
 
 
 @pytest.mark.parametrize(
-    "name", ["summary.json", "bench.parquet", "explorer.html", "networks/lstm.onnx", "tapes/a.npz", "explorer/a.js"]
+    "name",
+    [
+        "summary.json",
+        "bench.parquet",
+        "bench.png",
+        "explorer.html",
+        "networks/lstm.onnx",
+        "tapes/a.npz",
+        "explorer/a.js",
+    ],
 )
 def test_a_pipe_among_its_files_is_refused(weights, tmp_path, faked, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
