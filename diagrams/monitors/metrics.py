@@ -210,13 +210,14 @@ def measured(
     rates = {"tpr": (episodes.noticed, positive), "tnr": (silent, ~positive)}
     if episodes.success is not None:
         rates["tasks"] = episodes.success, np.ones(n, bool)
-    for name, statistic in asked.items():
-        value = float(statistic(np.ones(n)))
-        if np.isnan(value):
+    values = {name: float(statistic(np.ones(n))) for name, statistic in asked.items()}
+    said = {name: asked[name] for name, value in values.items() if not np.isnan(value)}
+    parts = [{name: statistic(weights) for name, statistic in said.items()} for weights in _weights(runs, used, n)]
+    for name, value in values.items():
+        if name not in said:
             found[name] = None
             continue
-        drawn = np.concatenate([statistic(weights) for weights in _weights(runs, used, n)])
-        low, high = np.nanquantile(drawn, (0.025, 0.975))
+        low, high = np.nanquantile(np.concatenate([part[name] for part in parts]), (0.025, 0.975))
         found[name] = {"value": value, "interval": [float(low), float(high)], "exact": False}
         if name in rates and value in (0.0, 1.0):
             right, which = rates[name]
@@ -231,9 +232,8 @@ def measured(
 def _weights(runs: np.ndarray, used: np.ndarray, n: int, parts: int = 16) -> Iterator[np.ndarray]:
     """How often each of n episodes is in each draw of `resampled`, (draws, n), in so many parts: all are too many."""
     for some, kept in zip(np.array_split(runs, parts), np.array_split(used, parts), strict=True):
-        weights = np.zeros((len(some), n))
-        np.add.at(weights, (np.arange(len(some))[:, None, None], some), kept)
-        yield weights
+        places = some + n * np.arange(len(some))[:, None, None]
+        yield np.bincount(places.ravel(), kept.ravel(), minlength=len(some) * n).reshape(-1, n)
 
 
 def severity_noticed_by_half(severity: np.ndarray, noticed: np.ndarray, scene: np.ndarray) -> dict[str, Any] | None:
