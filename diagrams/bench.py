@@ -94,11 +94,11 @@ class Crew:
         missing.sort(key=lambda task: task.diagram)
         print(f"{words}: {len(asked)} episodes, {len(asked) - len(missing)} of them done", flush=True)
         if missing:
-            pool, function = self._workers()
 
             def found() -> Iterator[tuple[BenchTask, dict]]:
-                for part in parts(missing):
+                for part in filter(None, parts(missing)):
                     handed.update(task.key for task in part)
+                    pool, function = self._workers()
                     yield from pool.run(function, part, given_up=error_row)
 
             done = believed(found())  # type: ignore[arg-type]
@@ -112,8 +112,8 @@ class Crew:
                     bar.update()
         if lost := len(handed - rows.keys()):
             raise InputError(f"{lost} episodes were given up by the cluster: start again with the same --out")
-        errors = ((task.key, rows[task.key]["error"]) for task in asked if task.key in rows)
-        return [f"{key}: {error}" for key, error in errors if error is not None]
+        wrong = (task.key for task in asked if task.key in handed and rows[task.key]["error"] is not None)
+        return [f"{key}: {rows[key]['error']}" for key in wrong]
 
     def _kept(self, task: BenchTask) -> bool:
         """Whether the file that the task leaves is there."""

@@ -15,7 +15,7 @@ Row = tuple[str, float | None]  # fault, severity
 def save_bench(summary: Mapping[str, Any], families: Mapping[str, str], path: Path) -> None:
     """Draws, a row a fault and severity: share of the runs with an alarm by detector, and of the tasks done.
 
-    The alarms are those from the onset on, without a fault all; of the recoveries it is the first.
+    The alarms are those from the onset on, without a fault all; of the recoveries it is the first, named below.
 
     Args:
         summary: what summary.json has.
@@ -37,7 +37,8 @@ def save_bench(summary: Mapping[str, Any], families: Mapping[str, str], path: Pa
     )
     names = [fault if severity is None else f"{fault} {severity:g}" for fault, severity in rows]
     _map(left, noticed, judging, "Blues", "alarm, % of runs")
-    _map(right, tasks, acting, "Greens", "tasks done, %")
+    _map(right, tasks, acting, "Greens", "tasks, %")
+    right.set_xlabel(first, fontsize=7)
     left.set_yticks(range(len(rows)), names, fontsize=7)
     right.set_yticks([])
     between = [i for i in range(1, len(rows)) if families.get(rows[i][0]) != families.get(rows[i - 1][0])]

@@ -36,7 +36,7 @@ class BenchArguments(ClusterOptions):
     detectors: list[str] = field(default_factory=lambda: [*DETECTORS])  # as in the registry, or package.module:Class
     # short names of those that act in closed loop, the oracle beside them; the others are scored alone. None: all act
     loop: list[str] | None = None
-    # of two that act, or of one and `never`: no more of a fault whose tasks tell them apart; the oracle acts if named
+    # of two that --loop names, or one and `never`: no more of a fault whose tasks tell them apart; without the oracle
     stop_when_decided: bool = False
     faults: list[str] = field(default_factory=lambda: [*DISTURBANCES[1:], *FAULTS])  # A, B, ...; none is always there
     severities: list[float] = field(default_factory=lambda: [1.0])  # of the faults, 0 to 1
@@ -107,7 +107,7 @@ class BenchArguments(ClusterOptions):
     @property
     def compared(self) -> tuple[Controller, Controller]:
         """The two of --stop-when-decided; raises InputError where there are more of them, or fewer."""
-        acting = [name for name in dict.fromkeys(self.loop or self.specs) if name != NEVER]
+        acting = [name for name in dict.fromkeys(self.loop or ()) if name != NEVER]
         two = [(label, recovery) for label in acting for recovery in dict.fromkeys(self.recoveries)]
         if len(two) == 1:
             two.append((NEVER, two[0][1]))

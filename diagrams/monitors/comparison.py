@@ -1,7 +1,6 @@
 """What acts in the closed loop, compared while the runs come in; the evidence is that of the sweeps."""
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from diagrams.monitors.bench_plan import NEVER, NONE, Controller
@@ -10,26 +9,27 @@ from diagrams.monitors.bench_task import BenchTask
 from diagrams.sweeps.sequential import DECIDED, evidence, scenes_won
 from systems.recoveries.registry import RECOVERIES
 
-LOOK_EVERY = 4  # scenes: so many runs go in parallel
+FIRST_LOOK = 4  # scenes; at each look twice as many as at the one before, so that diagrams are built few times
 
 
 def looks(
     two: tuple[Controller, Controller], off: Sequence[BenchTask], loops: Sequence[BenchTask], rows: Rows
 ) -> Iterator[list[BenchTask]]:
-    """The episodes `off`, fault by fault, the scenes between two looks at a time; no more of a fault that is decided.
+    """The episodes `off`, fault by fault, the scenes up to the next look at a time; no more of a fault that is decided.
 
     `rows`: the caller has those of the `loops` of the episodes that it was given, before it asks for more.
     """
     acted, kinds = by_episode(loops), dict[tuple, dict[int, list[BenchTask]]]()
     for task in off:
         kinds.setdefault((task.kind, task.severity), {}).setdefault(task.seed, []).append(task)
-    for scenes in kinds.values():
-        seen, left = list[BenchTask](), iter(scenes.values())
-        while some := [task for scene in itertools.islice(left, LOOK_EVERY) for task in scene]:
-            yield some
-            seen += some
-            wins, discordant = scenes_won(_differences(two, seen, acted, rows))
-            if evidence(wins, discordant) >= DECIDED:
+    for by_scene in kinds.values():
+        scenes, looked = [*by_scene.values()], 0
+        while looked < len(scenes):
+            end = max(2 * looked, FIRST_LOOK)
+            yield [task for scene in scenes[looked:end] for task in scene]
+            looked = end
+            seen = (task for scene in scenes[:looked] for task in scene)
+            if float(evidence(*scenes_won(_differences(two, seen, acted, rows)))) >= DECIDED:
                 break
 
 
@@ -47,7 +47,7 @@ def rounds(
 
 
 def _differences(
-    two: tuple[Controller, Controller], off: Sequence[BenchTask], acted: Mapping[tuple, BenchTask], rows: Rows
+    two: tuple[Controller, Controller], off: Iterable[BenchTask], acted: Mapping[tuple, BenchTask], rows: Rows
 ) -> Iterator[tuple[int, int]]:
     """See `scenes_won`; not of void episodes, nor of those with an error."""
     for task in off:
@@ -61,7 +61,8 @@ def comparisons(found: Sequence[Record], two: tuple[Controller, Controller] | No
     """Each that acts against `never`, and the `two` against one another: under each fault and severity, and over all.
 
     Of the `n` episodes that both have, `only_a` and `only_b`: how many but one of them did; of the `scenes`, `scenes_a`
-    and `scenes_b`: in how many one did more, over all training seeds (and faults), and their `e`.
+    and `scenes_b`: in how many one did more, over all training seeds (and faults), and their `e`. With `two` none is
+    over all: the faults that were decided have fewer scenes than the others.
     """
     acting = dict.fromkeys((r["detector"], r["recovery"]) for r in found if r["success"] is not None)
     pairs = dict.fromkeys((who, (NEVER, who[1])) for who in acting if who[0] != NEVER)
@@ -76,7 +77,7 @@ def comparisons(found: Sequence[Record], two: tuple[Controller, Controller] | No
     cells = dict.fromkeys((r["fault"], r["severity"]) for r in found)
     return [
         _compared(a, b, by[a], by[b], *cell)
-        for cell in (*cells, (POOLED, None))
+        for cell in (*cells, *([(POOLED, None)] if two is None else []))
         for a, b in pairs
         if a in by and b in by
     ]

@@ -14,9 +14,9 @@ from diagrams.episodes.sampling import SEED_BLOCKS, SEEDS_APART, episode_seeds
 from diagrams.episodes.store import RowStore
 from diagrams.sweeps.blocked import blocked_seeds, require_takes_arm
 from diagrams.sweeps.cluster_options import ClusterOptions
-from diagrams.sweeps.task import FILES, Task
+from diagrams.sweeps.task import FILES, Task, own_code
 from diagrams.world.configuration import World
-from diagrams.world.faults.registry import FAULTS, is_fault, kind_label, require_kind, require_severity
+from diagrams.world.faults.registry import is_fault, kind_label, require_kind, require_severity
 from diagrams.world.names import DISTURBANCES, ENCODER, WEIGHTS
 from diagrams.world.scenario import naming_file
 from models.errors import InputError
@@ -159,15 +159,10 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     severities: dict[str, list[float | None]] = {
         kind: [*_unique(arguments.severity)] if is_fault(kind) else [None] for kind in kinds
     }
-    own_code = {
-        (detector, kind): DETECTORS.code(detector) + (FAULTS.code(kind) if is_fault(kind) else "") or None
-        for detector in detectors.values()
-        for kind in kinds
-    }
     tasks = [
         Task(
             world, rnn, training_seed, detector, gamma, kind, seed, policy_hash, encoder_hash, learned, calibration,
-            arguments.until, files, spec, severity, own_code[detector, kind],
+            arguments.until, files, spec, severity, own_code(detector, kind),
         )
         for rnn, training_seed, detector, gamma, policy_hash, learned, calibration, spec in controllers
         for kind in kinds

@@ -15,7 +15,7 @@ from diagrams.episodes.record import PICTURE_EVERY, record_bytes, stretches
 from diagrams.episodes.runner import Job, run_episode
 from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
-from diagrams.world.faults.registry import kind_label
+from diagrams.world.faults.registry import FAULTS, is_fault, kind_label
 from diagrams.world.names import ENCODER
 from diagrams.world.requirements import robustness_of
 from models.errors import InputError
@@ -52,7 +52,7 @@ class Task:
     files: tuple[str, ...] = ()  # sent along, of FILES
     policy: str | None = None  # package.module:Class, whose name `rnn` is then
     severity: float | None = None  # of a fault; None: of no fault
-    own_code: str | None = None  # hash of the files of a detector and a fault of another package; None: all are ours
+    own_code: str | None = None  # hash of the file of a detector and of a fault of another package; None: all are ours
     code: str = dataclasses.field(default_factory=code_hash)  # that the sweep was started with
 
     @property
@@ -75,6 +75,11 @@ class Task:
         return {name: getattr(self, name) for name in names} | labels
 
 
+def own_code(detector: str, disturbance: str) -> str | None:
+    """See Task.own_code."""
+    return DETECTORS.code(detector) + (FAULTS.code(disturbance) if is_fault(disturbance) else "") or None
+
+
 def run_task(folder: Path, task: Task) -> dict[str, Any]:
     """Runs the episode with the weight files in `folder`; its row, with `error` and `traceback` set if it raised."""
     try:
@@ -82,6 +87,11 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
             raise InputError(
                 f"this worker has another version of the program ({code_hash()}, the sweep {task.code}): "
                 "update it, then --retry-errors"
+            )
+        if task.own_code != own_code(task.detector, task.disturbance):
+            raise InputError(
+                "this worker has another version of your detector or fault than the sweep was started with: "
+                "start again with another --out"
             )
         path = folder / policy_name(task.rnn, task.training_seed)
         controller = Controller(path, task.detector, task.calibration, task.policy)

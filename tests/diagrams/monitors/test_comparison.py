@@ -56,8 +56,11 @@ def test_void_episodes_errors_and_silence():
     rows[loops[0].key] = error_row(loops[0], RuntimeError("x"))
     assert sum(map(len, looks(TWO, off, loops, rows))) == 8  # 7 to none
     rows[off[1].key]["void"] = True
-    assert sum(map(len, looks(TWO, off, loops, rows))) == 12
-    assert sum(map(len, looks(TWO, off, loops[3:], rows))) == 12  # 2 did not alarm: never 8 to none before the end
+    assert [len(some) for some in looks(TWO, off, loops, rows)] == [4, 4, 4]  # 6 to none, then 10
+    rows[off[1].key]["void"] = False
+    assert sum(map(len, looks(TWO, off, loops[2:], rows))) == 12  # scene 1 did not alarm: 6 to none after eight
+    rows |= {task.key: row(True) for task in off[:2]}
+    assert sum(map(len, looks(TWO, off, loops[2:], rows))) == 12  # and even where never does it
 
 
 def test_scenes_are_pairs_and_training_seeds_within_them():
@@ -100,7 +103,7 @@ def test_comparisons_by_hand():
     assert "pooled: recall (planned) against never (planned): of 3 scenes 1 and 1; e = 0.5" in comparison_text(
         [*by.values()]
     )
-    assert comparisons(found, (("recall", "planned"), ("never", "planned"))) == comparisons(found)
+    assert comparisons(found, TWO) == comparisons(found)[:-1]  # of a stopped bench none is over all
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +150,43 @@ def test_the_bench_stops_and_stays_stopped(weights, tmp_path, monkeypatch, capsy
     assert (tmp_path / "summary.json").read_bytes() == before
 
 
+def test_an_error_beyond_the_stop_counts_nowhere(weights, tmp_path, monkeypatch):
+    """Scenes 0 and 9 err, and A is decided at the third look; later 0 does not, and A is decided before 9."""
+    broken = {0, 9}
+
+    def failing(folder, task):
+        if task.stage == "loop" and task.seed % 100 in broken:
+            return error_row(task, RuntimeError("the arm fell off"))
+        return fake(folder, task)
+
+    monkeypatch.setattr(bench, "run_bench_task", failing)
+    asked = arguments(weights, tmp_path, faults=["A"], detectors=["recall"])
+    monkeypatch.setattr("diagrams.monitors.comparison.DECIDED", 30.0)  # 8 to none
+    assert bench.main(asked) == 1
+    broken.clear()
+    broken.add(9)
+    assert bench.main(asked) == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["errors"] == 0
+
+
+def test_killed_in_the_loop_it_ends_as_one_that_was_left_alone(weights, tmp_path, monkeypatch):
+    def dying(folder, task):
+        if task.stage == "loop" and left_to_live.pop() == 0:
+            raise KeyboardInterrupt
+        return fake(folder, task)
+
+    left_to_live = [*range(100)]
+    monkeypatch.setattr(bench, "run_bench_task", dying)
+    assert bench.main(arguments(weights, tmp_path / "whole")) == 0
+    left_to_live = [*range(6)]
+    with pytest.raises(KeyboardInterrupt):
+        bench.main(arguments(weights, tmp_path / "killed"))
+    left_to_live = [*range(100)]
+    assert bench.main(arguments(weights, tmp_path / "killed")) == 0
+    for name in ("summary.json", "bench.parquet", "explorer.html"):
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "killed" / name).read_bytes()
+
+
 def test_two_recoveries_or_two_detectors_are_two(weights, tmp_path):
     given = arguments(weights, tmp_path)
     assert given.compared == (("recall", "planned"), ("never", "planned"))
@@ -158,7 +198,12 @@ def test_two_recoveries_or_two_detectors_are_two(weights, tmp_path):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"loop": None}, {"loop": ["never"]}, {"loop": ["recall", "speed"], "recoveries": ["planned", "hold"]}],
+    [
+        {"loop": None},
+        {"loop": None, "detectors": ["recall"]},
+        {"loop": ["never"]},
+        {"loop": ["recall", "speed"], "recoveries": ["planned", "hold"]},
+    ],
 )
 def test_what_is_no_pair_is_refused(weights, tmp_path, changes):
     with pytest.raises(

@@ -7,6 +7,8 @@ import pytest
 from diagrams import sweep
 from diagrams.episodes.pool import Pool
 from diagrams.sweeps.plan import SweepArguments
+from diagrams.sweeps.table import require_rows
+from diagrams.sweeps.task import run_task
 from models.errors import InputError
 from tests.diagrams import sweep_fakes
 from tests.diagrams.untrained import save_untrained
@@ -49,3 +51,14 @@ def test_a_changed_one_is_refused(tmp_path, monkeypatch, given):
     assert start(THEIRS) == 0
     with pytest.raises(InputError, match=r"or of another version of your detector or fault: choose another --out"):
         start(THEIRS + "# changed\n")
+
+
+def test_a_worker_with_another_version_of_it_says_so(tmp_path):
+    row = run_task(tmp_path, sweep_fakes.make_task(own_code="another"))
+    assert "another version of your detector or fault" in row["error"]
+
+
+def test_rows_of_before_it_was_noted_are_rows():
+    row = sweep_fakes.outcome_row(None, sweep_fakes.make_task())
+    del row["own_code"]
+    require_rows("rows.jsonl", {"key": row})
