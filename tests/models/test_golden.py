@@ -68,6 +68,15 @@ def test_committed_detectors_are_calibrated_for_the_committed_lstms(path: Path) 
         assert calibration_of(path, stored, Policy(WEIGHTS / f"{name}.onnx").hash)["gamma"] > 1.0
 
 
+def test_the_committed_cusum_is_calibrated_for_the_default_network() -> None:
+    path = WEIGHTS / "innovation_cusum.safetensors"
+    stored, policy = load_detector(path, path.stem), Policy(WEIGHTS / "lstm.onnx")
+    # Of its 299 undisturbed runs none is above gamma, of its disturbed ones all are.
+    found, scores = calibration_of(path, stored, policy.hash), stored.metadata[policy.hash]["calibration"]["scores"]
+    assert max(scores["none"]) == found["gamma"] < min(scores["A"] + scores["B"])
+    assert len(scores["none"]) == 299
+
+
 def test_weights_stay_within_the_limit() -> None:
     for folder, limit in ((WEIGHTS, 45_000_000), (WEIGHTS / "iiwa", 20_000_000)):
         files = [path for path in folder.iterdir() if path.is_file()]
