@@ -102,7 +102,7 @@ def by_episode(loops: Iterable[BenchTask]) -> dict[tuple, BenchTask]:
 def came_of(
     off: BenchTask, label: str, recovery: str, acted: Mapping[tuple, BenchTask], rows: Rows
 ) -> tuple[bool, float] | None:
-    """Success and seconds of the episode with that detector and recovery; None: it raised an error, or was not run.
+    """Success, and seconds in the loop (0: it did not act); None: it raised an error, or was not run.
 
     `acted`: see `by_episode`. A detector that did not alarm had no run of its own: what came of it is that of `off`.
     """
@@ -110,7 +110,7 @@ def came_of(
     row = rows.get((loop or off).key)
     if row is None or row["error"] is not None:
         return None
-    return bool(row["success"]), row["sim_seconds"]
+    return bool(row["success"]), 0.0 if loop is None else row["sim_seconds"]
 
 
 def monitored(found: Sequence[Record]) -> Monitored:
