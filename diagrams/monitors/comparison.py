@@ -6,7 +6,7 @@ from typing import Any
 from diagrams.monitors.bench_plan import NEVER, NONE, Controller
 from diagrams.monitors.bench_table import POOLED, Record, Rows, by_episode, came_of
 from diagrams.monitors.bench_task import BenchTask
-from diagrams.sweeps.sequential import DECIDED, evidence, scenes_won
+from diagrams.sweeps.sequential import DECIDED, evidence, paired, scenes_won
 from systems.recoveries.registry import RECOVERIES
 
 FIRST_LOOK = 4  # scenes; at each look twice as many as at the one before, so that diagrams are built few times
@@ -60,9 +60,8 @@ def _differences(
 def comparisons(found: Sequence[Record], two: tuple[Controller, Controller] | None = None) -> list[Record]:
     """Each that acts against `never`, and the `two` against one another: under each fault and severity, and over all.
 
-    Of the `n` episodes that both have, `only_a` and `only_b`: how many but one of them did; of the `scenes`, `scenes_a`
-    and `scenes_b`: in how many one did more, over all training seeds (and faults), and their `e`. With `two` none is
-    over all: the faults that were decided have fewer scenes than the others.
+    Of the episodes that both have, what `paired` says. With `two` none is over all: the faults that were decided have
+    fewer scenes than the others.
     """
     acting = dict.fromkeys((r["detector"], r["recovery"]) for r in found if r["success"] is not None)
     pairs = dict.fromkeys((who, (NEVER, who[1])) for who in acting if who[0] != NEVER)
@@ -92,20 +91,8 @@ def _compared(
         for episode, done in of_a.items()
         if episode in of_b and (episode[:2] == (fault, severity) if fault != POOLED else episode[0] != NONE)
     ]
-    wins, discordant = scenes_won(both)
     names = ({"detector": detector, "recovery": recovery} for detector, recovery in (a, b))
-    return {
-        "fault": fault,
-        "severity": severity,
-        **dict(zip("ab", names, strict=True)),
-        "n": len(both),
-        "only_a": sum(difference > 0 for _, difference in both),
-        "only_b": sum(difference < 0 for _, difference in both),
-        "scenes": len({scene for scene, _ in both}),
-        "scenes_a": wins,
-        "scenes_b": discordant - wins,
-        "e": float(evidence(wins, discordant)),
-    }
+    return {"fault": fault, "severity": severity} | dict(zip("ab", names, strict=True)) | paired(both)
 
 
 def comparison_text(found: Sequence[dict[str, Any]]) -> str:

@@ -1,5 +1,6 @@
 """Two controllers compared while the episodes come in: evidence that may be looked at as often as one likes."""
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from typing import Any
 
@@ -38,6 +39,24 @@ def scenes_won(differences: Iterable[tuple[int, int]]) -> tuple[int, int]:
     for scene, difference in differences:
         more[scene] = more.get(scene, 0) + difference
     return sum(d > 0 for d in more.values()), sum(d != 0 for d in more.values())
+
+
+def paired(differences: Sequence[tuple[int, int]]) -> dict[str, Any]:
+    """What a comparison of a with b says of these `differences` (see `scenes_won`), for a JSON file.
+
+    `n` pairs of runs, of which `only_a` or `only_b` did the task; `scenes`, `scenes_a` and `scenes_b` of which went to
+    one of the two; their `e`, the largest float where it is beyond, since JSON has no infinity.
+    """
+    wins, discordant = scenes_won(differences)
+    return {
+        "n": len(differences),
+        "only_a": sum(difference > 0 for _, difference in differences),
+        "only_b": sum(difference < 0 for _, difference in differences),
+        "scenes": len({scene for scene, _ in differences}),
+        "scenes_a": wins,
+        "scenes_b": discordant - wins,
+        "e": min(float(evidence(wins, discordant)), sys.float_info.max),
+    }
 
 
 def evidence_of(tasks: Sequence[Task], rows: Mapping[str, dict[str, Any]]) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
-from diagrams.sweeps.sequential import evidence, scenes_won
+from diagrams.sweeps.sequential import paired
 from diagrams.world.names import DISTURBANCES
 
 CELL = ["rnn", "detector", "gamma", "disturbance", "severity"]
@@ -157,24 +157,10 @@ def comparisons(rows: pd.DataFrame) -> list[dict[str, Any]]:
             for measure, (flag, _) in measures(group).items():
                 both = pairs[pairs[f"{flag}_a"].notna() & pairs[f"{flag}_b"].notna()]
                 more = both[f"{flag}_a"].astype(int) - both[f"{flag}_b"].astype(int)
-                scenes_a, discordant = scenes_won(zip(both["seed"], more, strict=True))
-                scenes_b = discordant - scenes_a
-                found.append(
-                    labels
-                    | {
-                        "measure": measure,
-                        "a": {"rnn": rnn_a, "detector": detector_a},
-                        "b": {"rnn": rnn_b, "detector": detector_b},
-                        "n": len(both),
-                        "only_a": int((more > 0).sum()),
-                        "only_b": int((more < 0).sum()),
-                        "scenes": both["seed"].nunique(),
-                        "scenes_a": scenes_a,
-                        "scenes_b": scenes_b,
-                        "p": sign_test(scenes_a, scenes_b),
-                        "e": float(evidence(scenes_a, discordant)),
-                    }
-                )
+                said = paired([(int(scene), int(d)) for scene, d in zip(both["seed"], more, strict=True)])
+                names = {"a": {"rnn": rnn_a, "detector": detector_a}, "b": {"rnn": rnn_b, "detector": detector_b}}
+                p = sign_test(said["scenes_a"], said["scenes_b"])
+                found.append(labels | {"measure": measure} | names | said | {"p": p})
     return found
 
 

@@ -41,12 +41,8 @@ _ROBUSTNESS = {ROBUSTNESS + name: pa.float64() for name in requirements(World().
 SCHEMA = pa.schema(_OUTCOME | _OWN | _ROBUSTNESS)
 _EPISODE = ("rnn", "training_seed", "detector", "gamma", "disturbance", "severity", "seed")
 _KNOWN = (*_EPISODE, "weights_hash", "success", "void", "error")
-LATER = (
-    "traceback",
-    "severity",
-    "own_code",
-    *_ROBUSTNESS,
-)  # columns that tables of earlier versions lack: they are empty
+# Columns that tables of earlier versions lack: they are empty.
+LATER = ("traceback", "severity", "own_code", *_ROBUSTNESS)
 
 
 def require_rows(path: Path, rows: dict[str, Any]) -> None:
@@ -56,7 +52,7 @@ def require_rows(path: Path, rows: dict[str, Any]) -> None:
     """
     for key, row in rows.items():
         try:
-            # What rows of earlier versions lack is no word of theirs: it was nothing.
+            # Rows of earlier versions have no own_code, and may be gone on with.
             absent = set(SCHEMA.names if row["error"] is None else _KNOWN) - row.keys() - {"own_code"}
             if absent:
                 raise ValueError(f"no {', '.join(sorted(absent))}")

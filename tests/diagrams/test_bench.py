@@ -311,16 +311,9 @@ def test_a_damaged_tape_is_refused_by_name(weights, tmp_path, faked, ticks, post
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "summary.json",
-        "bench.parquet",
-        "bench.png",
-        "explorer.html",
-        "networks/lstm.onnx",
-        "tapes/a.npz",
-        "explorer/a.js",
-    ],
-)
+    ["summary.json", "bench.parquet", "bench.png", "explorer.html", "networks/lstm.onnx", "tapes/a.npz",
+     "explorer/a.js"],
+)  # fmt: skip
 def test_a_pipe_among_its_files_is_refused(weights, tmp_path, faked, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     os.mkfifo(tmp_path / name)

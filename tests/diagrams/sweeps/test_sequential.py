@@ -1,10 +1,12 @@
 """Evidence: by hand, as a martingale, and how often equal controllers are called different, looked at every time."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.special import comb
 
-from diagrams.sweeps.sequential import DECIDED, decided, evidence, evidence_of, rounds
+from diagrams.sweeps.sequential import DECIDED, decided, evidence, evidence_of, paired, rounds
 from tests.diagrams.sweep_fakes import make_task
 
 
@@ -46,6 +48,15 @@ def test_a_better_one_is_found():
     wins = np.cumsum(rng.random((1000, 300)) < 0.7, axis=1)
     ever = (evidence(wins, np.arange(1, 301)) >= DECIDED).any(axis=1)
     assert ever.mean() > 0.95
+
+
+def test_pairs_by_hand():
+    """Scene 0: 2 to 1, 1: one each, 2: alike, 3: 0 to 1."""
+    found = paired([(0, 1), (0, 1), (0, -1), (1, 1), (1, -1), (2, 0), (3, -1)])
+    assert found == {
+        "n": 7, "only_a": 3, "only_b": 3, "scenes": 4, "scenes_a": 1, "scenes_b": 1, "e": pytest.approx(0.5),
+    }  # fmt: skip
+    json.dumps(paired([(scene, 1) for scene in range(2000)]), allow_nan=False)
 
 
 def tasks_of(scenes, kinds=("A",), training_seeds=(0,)):
