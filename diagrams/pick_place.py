@@ -11,7 +11,7 @@ import logging
 import math
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +26,7 @@ from models.checks import require_apart, require_one_of
 from models.command_line import REMEDIES, require, require_writable, run, say
 from models.errors import InputError
 from models.files.container import partial_of, remove_left_parts, write_text
+from systems.recoveries.registry import SHIPPED
 
 
 @dataclass
@@ -46,6 +47,7 @@ class PickPlaceArguments(Scenario):
     scenario: Path | None = None  # YAML over the defaults; options on the command line go over both
     # YAML file of the world, below what a scenario or options say of it
     world_file: Annotated[Path | None, tyro.conf.arg(name="world")] = None
+    recovery: str = SHIPPED  # what the arm does after an alarm: planned, backoff, regulator, hold, retrace
     weights: Path = WEIGHTS  # folder of the trained networks
     replay: Path = Path("outputs/replay.html")  # 3-D replay that opens offline in a browser
     plot: Path = Path("outputs/timeline.png")  # postures, both controllers' steps and alpha over time
@@ -123,7 +125,7 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
         require("foxglove")
     with naming_file(cli.scenario):
         episode = EpisodeSampler(cli.world).episode(cli)
-    controller = controller_of(cli.weights, cli.rnn, cli.detector, cli.policy)
+    controller = replace(controller_of(cli.weights, cli.rnn, cli.detector, cli.policy), recovery=cli.recovery)
     logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat tells its address also where nobody asked for it
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     for distraction in ("/Grid", "/Axes"):

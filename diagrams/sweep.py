@@ -71,7 +71,7 @@ def main(arguments: SweepArguments) -> int:
             ):
                 raise InputError(
                     f"{out} holds episodes of other weights than {arguments.weights} has now, or of another version of "
-                    "your detector or fault: choose another --out"
+                    "your detector, fault or recovery: choose another --out"
                 )
         require_rows(out / ROWS, rows)
         if more := rows.keys() - {task.key for task in tasks}:

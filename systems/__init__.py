@@ -30,6 +30,7 @@ speed_detector         how fast it is
 never_detector         none: the network alone
 oracle_detector        told of the fault: what could be reached (discrete state)
 posture_regulator      Drake's LQR for the discrete posture integrator
+alarm_backoff          an alarm that comes again: what the next one must reach (discrete state)
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 regulated_mixer        the two of them, as one Diagram
 clearance_filter       the way home that looks: the smallest change of a step that keeps the arm at a distance

@@ -2,11 +2,12 @@
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
-from pydrake.systems.primitives import AffineSystem, ConstantVectorSource, ZeroOrderHold
+from pydrake.systems.primitives import Adder, AffineSystem, ConstantVectorSource, ZeroOrderHold
 
+from systems.alarm_backoff import AlarmBackoff
 from systems.alpha_mixer import AlphaMixer
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
-from systems.detector import check_detector
+from systems.detector import CalibratedDetector, check_detector
 from systems.finger_release import FingerRelease
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
@@ -72,6 +73,7 @@ class SwitchedController(Diagram):
         home_tolerance=None,
         empty_below=None,
         recovery: System | None = None,
+        backoff: float | None = None,
     ):
         """
         Args:
@@ -92,6 +94,8 @@ class SwitchedController(Diagram):
             empty_below: m; where it starts anew, fingers measured to be nearer than this hold nothing and open: see
                 FingerRelease. None: they stay as they are.
             recovery: in the LQR's place, see systems/recoveries/; None: the LQR.
+            backoff: factor of AlarmBackoff, behind a CalibratedDetector; others have no gamma to be raised. Not behind
+                one whose gamma is an input. None: each alarm is answered alike.
         """
         super().__init__()
         period = require_positive("period", period)
@@ -142,7 +146,16 @@ class SwitchedController(Diagram):
             for name in names:
                 builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
 
-        alpha, step, closed_by = detector.GetOutputPort("alpha"), None, detector.GetOutputPort("alpha")
+        alpha, step, self._backoff = detector.GetOutputPort("alpha"), None, None
+        if backoff is not None and detector.HasInputPort("gamma"):
+            raise ValueError(f"backoff is {backoff}, but the detector's gamma is an input: leave one of the two out.")
+        if backoff is not None and isinstance(detector, CalibratedDetector):
+            criteria = detector.GetOutputPort("errors").size()  # type: ignore[attr-defined]
+            self._backoff = AlarmBackoff(criteria=criteria, factor=backoff, period=period)
+            builder.AddNamedSystem("alarm_backoff", self._backoff)
+            wire(detector, self._backoff, "alpha", "errors")
+            alpha = self._backoff.GetOutputPort("answered_alpha")
+        closed_by = alpha
         if recovery is not None:
             builder.AddNamedSystem("recovery", recovery)
             builder.Connect(alpha, recovery.GetInputPort("alarm"))
@@ -156,14 +169,20 @@ class SwitchedController(Diagram):
             builder.Connect(step, mixer.GetInputPort("regulator_step"))
             # The network is fed what is measured all the while.
             closed_by = builder.AddNamedSystem("loop_stays_closed", ConstantVectorSource([0.0])).get_output_port()
-        home = None
+        reset = None  # above 1/2: the network starts anew
         if home_tolerance is not None:
             tolerance = require_positive("home_tolerance", home_tolerance) / half_range[:joints]
             home = HomeReset(posture_size=size, initial_posture=initial[:joints], tolerance=tolerance)
             builder.AddNamedSystem("home_reset", home)
             builder.Connect(alpha, home.GetInputPort("alpha"))
             builder.Connect(scale.get_output_port(), home.GetInputPort("posture"))
-            wire(home, network, "reset")
+            reset = home.get_output_port()
+            if self._backoff is not None:
+                either = builder.AddNamedSystem("home_or_given_up", Adder(2, 1))
+                builder.Connect(reset, either.get_input_port(0))
+                builder.Connect(self._backoff.GetOutputPort("given_up"), either.get_input_port(1))
+                reset = either.get_output_port()
+            builder.Connect(reset, network.GetInputPort("reset"))
         elif empty_below is not None:
             raise ValueError(f"empty_below is {empty_below} without a home_tolerance: give both, or none.")
         # Between the ticks the detector compares the posture of now with the prediction of the next tick: what it said
@@ -188,11 +207,11 @@ class SwitchedController(Diagram):
         wire(network, detector, "recalled_postures", "hidden_state")
         wire(network, mixer, "predicted_posture")
         builder.Connect(closed_by, closer.GetInputPort("alpha"))
-        for source, name in (
-            (image_encoder, "features"), (network, "predicted_features"), (closer, "network_input"), (home, "reset"),
-        ):  # fmt: skip
-            if source is not None and detector.HasInputPort(name):
+        for source, name in ((image_encoder, "features"), (network, "predicted_features"), (closer, "network_input")):
+            if detector.HasInputPort(name):
                 wire(source, detector, name)
+        if reset is not None and detector.HasInputPort("reset"):
+            builder.Connect(reset, detector.GetInputPort("reset"))
         for name in ("gamma", "active"):
             if detector.HasInputPort(name):
                 builder.ExportInput(detector.GetInputPort(name), name)
@@ -212,12 +231,12 @@ class SwitchedController(Diagram):
             release = builder.AddNamedSystem(
                 "finger_release", FingerRelease(posture_size=size, joints=joints, **limits)
             )
-            reset = builder.AddNamedSystem("reset_hold", ZeroOrderHold(period, 1))
+            held = builder.AddNamedSystem("reset_hold", ZeroOrderHold(period, 1))
             gaps = builder.AddNamedSystem("finger_gaps_hold", ZeroOrderHold(period, len(fingers)))
-            assert home is not None  # refused above
-            builder.Connect(home.get_output_port(), reset.get_input_port())
+            assert reset is not None  # refused above
+            builder.Connect(reset, held.get_input_port())
             builder.ExportInput(gaps.get_input_port(), "finger_gaps")
-            for port, name in ((command, "desired_posture"), (reset.get_output_port(), "reset"),
+            for port, name in ((command, "desired_posture"), (held.get_output_port(), "reset"),
                                (gaps.get_output_port(), "finger_gaps")):  # fmt: skip
                 builder.Connect(port, release.GetInputPort(name))
             command = release.get_output_port()
@@ -240,6 +259,8 @@ class SwitchedController(Diagram):
         """Sets the detector's calibration (see CalibratedDetector) in `context`, the root Context; holds at once."""
         own = self._detector.GetMyMutableContextFromRoot(context)
         self._detector.set_calibration(own, mean_errors, beta, gamma)
+        if self._backoff is not None:
+            self._backoff.set_calibration(self._backoff.GetMyMutableContextFromRoot(context), beta, gamma)
 
 
 def _check_fit(encoder, policy) -> None:

@@ -35,6 +35,7 @@ def make_controller(
             home_tolerance=HOME_TOLERANCE if world.resumption == "reset" else None,
             empty_below=world.empty_below if world.releases else None,
             recovery=RECOVERIES[recovery].build(policy, ARM_JOINTS, world.timing.period),
+            backoff=getattr(RECOVERIES[recovery], "backoff", None),
         )
     except ValueError as error:
         raise InputError(f"the controller cannot be built: {error}") from error

@@ -23,6 +23,7 @@ from models.errors import InputError
 from models.networks import network_label
 from models.policy import POLICIES
 from systems.detectors import DETECTORS
+from systems.recoveries.registry import RECOVERIES, SHIPPED
 
 
 @dataclass
@@ -36,6 +37,7 @@ class SweepArguments(ClusterOptions):
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn, or package.module:Class
     policy: list[str] = field(default_factory=list)  # package.module:Class of one's own, instead of networks
     detector: list[str] = field(default_factory=lambda: ["recall"])  # as in the registry, or package.module:Class
+    recovery: str = SHIPPED  # what the arm does after an alarm: planned, backoff, regulator, hold, retrace
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B, moved, faults
     severity: list[float] = field(default_factory=lambda: [1.0])  # of the faults, 0 to 1
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
@@ -55,6 +57,7 @@ class SweepArguments(ClusterOptions):
         for name in ("rnn", "detector", "disturbance", "severity", "training_seeds"):
             if not getattr(self, name):
                 raise InputError(f"no {name.replace('_', ' ')} given: give one or more")
+        RECOVERIES.check(self.recovery)
         for kind in self.disturbance:
             require_kind(kind)
         faults = [kind for kind in self.disturbance if is_fault(kind)]
@@ -162,7 +165,7 @@ def plan(arguments: SweepArguments, world: World) -> tuple[list[Task], list[str]
     tasks = [
         Task(
             world, rnn, training_seed, detector, gamma, kind, seed, policy_hash, encoder_hash, learned, calibration,
-            arguments.until, files, spec, severity, own_code(detector, kind),
+            arguments.until, files, spec, severity, own_code(detector, kind, arguments.recovery), arguments.recovery,
         )
         for rnn, training_seed, detector, gamma, policy_hash, learned, calibration, spec in controllers
         for kind in kinds

@@ -20,6 +20,7 @@ from diagrams.world.names import ENCODER
 from diagrams.world.requirements import robustness_of
 from models.errors import InputError
 from systems.detectors import DETECTORS
+from systems.recoveries.registry import RECOVERIES, SHIPPED
 
 HASHES = ("weights_hash", "encoder_hash", "detector_hash", "own_code")
 # Columns: of each requirement of requirements.stl, see robustness_of; None where the switching is not judged.
@@ -52,7 +53,8 @@ class Task:
     files: tuple[str, ...] = ()  # sent along, of FILES
     policy: str | None = None  # package.module:Class, whose name `rnn` is then
     severity: float | None = None  # of a fault; None: of no fault
-    own_code: str | None = None  # hash of the file of a detector and of a fault of another package; None: all are ours
+    own_code: str | None = None  # hash of the files of what another package has of these; None: all are ours
+    recovery: str = SHIPPED  # what the arm does after an alarm
     code: str = dataclasses.field(default_factory=code_hash)  # that the sweep was started with
 
     @property
@@ -61,6 +63,8 @@ class Task:
         gamma = "own" if self.gamma is None else repr(self.gamma)
         end = "" if self.until == "task" else f"-{self.until}"
         detector = DETECTORS.label(self.detector)
+        if self.recovery != SHIPPED:
+            detector += f"-{RECOVERIES.label(self.recovery)}"
         return f"{self.rnn}-{self.training_seed}-{detector}-{gamma}-{self.disturbed_by}-{self.seed}{end}"
 
     @property
@@ -75,9 +79,10 @@ class Task:
         return {name: getattr(self, name) for name in names} | labels
 
 
-def own_code(detector: str, disturbance: str) -> str | None:
+def own_code(detector: str, disturbance: str, recovery: str = SHIPPED) -> str | None:
     """See Task.own_code."""
-    return DETECTORS.code(detector) + (FAULTS.code(disturbance) if is_fault(disturbance) else "") or None
+    fault = FAULTS.code(disturbance) if is_fault(disturbance) else ""
+    return DETECTORS.code(detector) + fault + RECOVERIES.code(recovery) or None
 
 
 def run_task(folder: Path, task: Task) -> dict[str, Any]:
@@ -88,13 +93,13 @@ def run_task(folder: Path, task: Task) -> dict[str, Any]:
                 f"this worker has another version of the program ({code_hash()}, the sweep {task.code}): "
                 "update it, then --retry-errors"
             )
-        if task.own_code != own_code(task.detector, task.disturbance):
+        if task.own_code != own_code(task.detector, task.disturbance, task.recovery):
             raise InputError(
-                "this worker has another version of your detector or fault than the sweep was started with: "
+                "this worker has another version of your detector, fault or recovery than the sweep was started with: "
                 "start again with another --out"
             )
         path = folder / policy_name(task.rnn, task.training_seed)
-        controller = Controller(path, task.detector, task.calibration, task.policy)
+        controller = Controller(path, task.detector, task.calibration, task.policy, task.recovery)
         until, every = task.until, 1 if "mcap" in task.files else PICTURE_EVERY if task.files else 0
         job = Job(
             task.world, folder / ENCODER, controller, task.seed, task.disturbance,

@@ -7,6 +7,7 @@ RECOVERIES: Registry = Registry(
     "recovery",
     {
         "planned": "systems.recoveries.planned:PlannedRecovery",
+        "backoff": "systems.recoveries.backoff:BackoffRecovery",
         "regulator": "systems.recoveries.regulator:RegulatorRecovery",
         "hold": "systems.recoveries.hold:HoldRecovery",
         "retrace": "systems.recoveries.retrace:RetraceRecovery",

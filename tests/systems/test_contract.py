@@ -10,6 +10,7 @@ from pydrake.multibody.tree import BodyIndex
 
 import systems
 from models.networks.perceptron import random_layers, to_arrays
+from systems.alarm_backoff import AlarmBackoff
 from systems.alpha_mixer import AlphaMixer
 from systems.body_force import BodyForce
 from systems.camera_fault import CameraFault
@@ -141,6 +142,10 @@ CASES = {
     "HomeReset": (
         lambda: HomeReset(posture_size=M, initial_posture=np.zeros(3), tolerance=np.ones(3)),
         {("posture", "reset"), ("alpha", "reset")},
+    ),
+    "AlarmBackoff": (
+        lambda: AlarmBackoff(criteria=2, factor=10.0, period=PERIOD),
+        {(i, o) for i in ("alpha", "errors") for o in ("answered_alpha", "given_up")},
     ),
     "HoldRecovery": (lambda: HoldRecovery(FakePolicy(), 3, PERIOD), {("alarm", "acting")}),
     "RetraceRecovery": (

@@ -49,13 +49,15 @@ def test_a_changed_one_is_refused(tmp_path, monkeypatch, given):
 
     assert start(THEIRS) == 0
     assert start(THEIRS) == 0
-    with pytest.raises(InputError, match=r"or of another version of your detector or fault: choose another --out"):
+    with pytest.raises(
+        InputError, match=r"or of another version of your detector, fault or recovery: choose another --out"
+    ):
         start(THEIRS + "# changed\n")
 
 
 def test_a_worker_with_another_version_of_it_says_so(tmp_path):
     row = run_task(tmp_path, sweep_fakes.make_task(own_code="another"))
-    assert "another version of your detector or fault" in row["error"]
+    assert "another version of your detector, fault or recovery" in row["error"]
 
 
 def test_rows_of_before_it_was_noted_are_rows():
