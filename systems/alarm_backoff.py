@@ -5,7 +5,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from systems.arguments import require_count, require_positive, require_vector
 from systems.detector import GUARD, NEVER, alpha_of
 
-PATIENCE = 12.0  # s: a disturbance of 3, a way home of 4, and what the loop may take to close again
+PATIENCE = 8.0  # s: twice the longest way home
 MOST = 30  # answers that are counted: the level stays finite
 
 
