@@ -26,7 +26,7 @@ from models.checks import require_apart, require_one_of
 from models.command_line import REMEDIES, require, require_writable, run, say
 from models.errors import InputError
 from models.files.container import partial_of, remove_left_parts, write_text
-from systems.recoveries.registry import SHIPPED
+from systems.recoveries.registry import RECOVERIES, SHIPPED
 
 
 @dataclass
@@ -90,6 +90,7 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
     """As `main`; the frames go to the file `video`, until it is whole."""
     with naming_file(cli.scenario):
         cli.check()
+    RECOVERIES.check(cli.recovery)
     if not 0.0 <= cli.realtime_rate < math.inf:
         raise InputError(
             f"the real-time rate {cli.realtime_rate} is negative or not finite: choose 0 (as fast as possible) or more"

@@ -72,6 +72,7 @@ def untrained(tmp_path_factory):
         (("--seed", "x"), ["--seed: invalid literal", "--help"]),
         (("--seeds", "1"), ["Unrecognized options: --seeds"]),
         (("--json", "/dev/null/outcome.json"), ["/dev/null/outcome.json cannot be written"]),
+        (("--recovery", "panic"), ["there is no recovery 'panic'", "choose from planned, backoff"]),
         (("--record", "run.csv"), ["run.csv", ".npz"]),
         (("--mcap", "run.bag"), ["run.bag", ".mcap"]),
         (("--mcap", "/dev/null/run.mcap"), ["/dev/null/run.mcap cannot be written"]),

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from systems.alarm_backoff import MOST, PATIENCE, AlarmBackoff
 from systems.detector import GUARD, alpha_of
+from systems.dialled_detector import DialledDetector
 from systems.recoveries.registry import RECOVERIES
 from tests.systems.controller_fakes import PERIOD, ClosedLoop, FakePolicy, TickArm, make_controller
 from tests.systems.outside_detector import FarFromHome
@@ -136,6 +137,13 @@ def test_a_detector_without_a_gamma_is_answered_always():
     policy = FakePolicy()
     made = [wires_of(make_controller(policy=policy, detector=Scheduled(policy), backoff=b)) for b in (None, 10.0)]
     assert made[0] == made[1]
+
+
+def test_where_gamma_is_an_input_it_cannot_be_raised():
+    policy = FakePolicy()
+    detector = DialledDetector(FarFromHome(policy))
+    with pytest.raises(ValueError, match=r"backoff is 10.0, but the detector's gamma is an input: leave one"):
+        make_controller(policy=policy, detector=detector, backoff=10.0)
 
 
 def test_in_the_loop_a_return_is_given_up_and_the_network_starts_anew():

@@ -28,6 +28,17 @@ def test_every_combination_once_with_its_files(weights):
     assert names == ["encoder.onnx", "lstm.onnx"]
 
 
+def test_another_recovery_makes_other_episodes(weights):
+    def planned(**given):
+        (task,), _ = plan(SweepArguments(episodes=1, disturbance=["A"], weights=weights, **given), World())
+        return task
+
+    shipped, other = planned(), planned(recovery="backoff")
+    assert (shipped.recovery, other.recovery) == ("planned", "backoff")
+    assert shipped.key == planned(recovery="planned").key == other.key.replace("recall-backoff", "recall")
+    assert shipped.key != other.key
+
+
 def test_a_file_under_another_name_is_no_other_network(tmp_path, weights):
     for name in ("encoder", "lstm"):
         shutil.copy(weights / f"{name}.onnx", tmp_path)

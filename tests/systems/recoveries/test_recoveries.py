@@ -40,8 +40,14 @@ class Loop:
 
 def test_what_ships_is_the_law_as_it_was():
     assert SHIPPED == "planned"
-    for name, looks in (("planned", True), ("regulator", False)):
+    for name, looks in (("planned", True), ("backoff", True), ("regulator", False)):
         assert (RECOVERIES[name].build(FakePolicy(), 3, PERIOD), RECOVERIES[name].looks) == (None, looks)
+
+
+def test_one_alone_has_a_backoff():
+    assert {name: RECOVERIES[name].backoff for name in RECOVERIES if hasattr(RECOVERIES[name], "backoff")} == {
+        "backoff": 10.0
+    }
 
 
 def test_held_the_arm_stands_where_the_alarm_found_it_and_the_network_looks_on():
