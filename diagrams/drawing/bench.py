@@ -15,34 +15,40 @@ Row = tuple[str, float | None]  # fault, severity
 def save_bench(summary: Mapping[str, Any], families: Mapping[str, str], path: Path) -> None:
     """Draws, a row a fault and severity: share of the runs with an alarm by detector, and of the tasks done.
 
-    The alarms are those from the onset on, without a fault all; of the recoveries it is the first, named below.
+    The alarms are those from the onset on, without a fault all. The tasks stand apart by recovery, named below; those
+    of `never`, which none comes after, with the first.
 
     Args:
         summary: what summary.json has.
         families: by fault; each family's rows stand together, those without one first.
     """
-    first = summary["cells"][0]["recovery"]
-    cells = {(c["fault"], c["severity"], c["detector"]): c for c in summary["cells"] if c["recovery"] == first}
-    detectors = list(dict.fromkeys(name for *_, name in cells))
-    found = list(dict.fromkeys((fault, severity) for fault, severity, _ in cells))
+    cells = {(c["fault"], c["severity"], c["detector"], c["recovery"]): c for c in summary["cells"]}
+    recoveries = list(dict.fromkeys(recovery for *_, recovery in cells))
+    detectors = list(dict.fromkeys(name for _, _, name, _ in cells))
+    found = list(dict.fromkeys((fault, severity) for fault, severity, *_ in cells))
     order = ["", *dict.fromkeys(families.values())]
     rows = sorted(found, key=lambda row: order.index(families.get(row[0], "")))  # stable
     judging = [name for name in detectors if name not in ("never", "oracle")]
-    acting = [name for name in detectors if any(c["tasks"] for (*_, own), c in cells.items() if own == name)]
-    noticed = np.array([[_alarms(cells.get((*row, name))) for name in judging] for row in rows]).reshape(len(rows), -1)
-    tasks = np.array([[_value(cells.get((*row, name)), "tasks") for name in acting] for row in rows])
-    columns = max(len(judging), 1), len(acting)
-    figure, (left, right) = new_figure(
-        1, 2, figsize=(2.2 + COLUMN * sum(columns), 1.9 + ROW * len(rows)), width_ratios=columns
+    acted = {(name, recovery) for (_, _, name, recovery), c in cells.items() if c["tasks"]}
+    acting = [
+        [name for name in detectors if (name, recovery) in acted and (name != "never" or recovery == recoveries[0])]
+        for recovery in recoveries
+    ]
+    noticed = [[_alarms(cells.get((*row, name, recoveries[0]))) for name in judging] for row in rows]
+    columns = [max(len(names), 1) for names in (judging, *acting)]
+    figure, (left, *right) = new_figure(
+        1, len(columns), figsize=(2.2 + COLUMN * sum(columns), 1.9 + ROW * len(rows)), width_ratios=columns
     )
     names = [fault if severity is None else f"{fault} {severity:g}" for fault, severity in rows]
-    _map(left, noticed, judging, "Blues", "alarm, % of runs")
-    _map(right, tasks, acting, "Greens", "tasks, %")
-    right.set_xlabel(first, fontsize=7)
+    _map(left, np.array(noticed).reshape(len(rows), -1), judging, "Blues", "alarm, % of runs")
+    for axes, recovery, own in zip(right, recoveries, acting, strict=True):
+        tasks = [[_value(cells.get((*row, name, recovery)), "tasks") for name in own] for row in rows]
+        _map(axes, np.array(tasks).reshape(len(rows), -1), own, "Greens", "tasks, %" if axes is right[0] else "")
+        axes.set_xlabel(recovery, fontsize=7)
+        axes.set_yticks([])
     left.set_yticks(range(len(rows)), names, fontsize=7)
-    right.set_yticks([])
     between = [i for i in range(1, len(rows)) if families.get(rows[i][0]) != families.get(rows[i - 1][0])]
-    for axes in (left, right):
+    for axes in (left, *right):
         for i in between:
             axes.axhline(i - 0.5, color="black", lw=0.8)
     save(figure, path)
