@@ -46,3 +46,15 @@ def test_lqr_takes_matrices():
     s = 2.0 * (1.0 + np.sqrt(1.0 + 4.0 * 90.0 / 4.0))
     assert pytest.approx(np.diag([0.1, s / (90.0 + s)]), abs=1e-8) == K
     assert pytest.approx(np.diag([10.0, s]), rel=1e-6) == S
+
+
+@pytest.mark.parametrize(("offset", "rests"), [(5.0, 50.0), (-0.3, -3.0)])
+def test_a_constant_between_command_and_measurement_keeps_it_from_home_ten_times_as_far(offset, rests):
+    """A sensor's offset, or a servo's sag: the step undoes it where K (m - m_init) is the offset."""
+    initial = np.array([10.0, -20.0])
+    regulator = make_posture_regulator(posture_size=2, joints=2, initial_posture=initial, Q=1.0, R=90.0, period=0.1)
+    measured = initial.copy()
+    for _ in range(300):
+        step = evaluate(regulator, "y0", dict(u0=measured))
+        measured = measured + step + [offset, 0.0]
+    assert measured == pytest.approx(initial + [rests, 0.0])
