@@ -19,17 +19,29 @@ BETA, GAMMA, FACTOR = 30.0, 2.0, 10.0
 TICKS = round(PATIENCE / PERIOD)
 
 
-def answered(errors, alphas=None, factor=FACTOR):
-    """alpha as it is answered at each tick, of a detector with one criterion; `alphas`: its own, else by Eqs. 5, 6."""
+def run(errors, alphas=None, factor=FACTOR):
+    """alpha as it is answered, and whether the return is given up, at each tick; of a detector with one criterion.
+
+    `alphas`: the detector's own, else by Eqs. 5 and 6.
+    """
     system = AlarmBackoff(criteria=1, factor=factor, period=PERIOD)
-    context, found = system.CreateDefaultContext(), []
+    context, rows = system.CreateDefaultContext(), []
     system.set_calibration(context, BETA, GAMMA)
     for k, error in enumerate(errors):
         alpha = alpha_of(np.array([error]), BETA, GAMMA) if alphas is None else alphas[k]
         fix(system, context, dict(alpha=[alpha], errors=[error]))
-        found.append(system.GetOutputPort("answered_alpha").Eval(context)[0])
+        rows.append([system.GetOutputPort(name).Eval(context)[0] for name in ("answered_alpha", "given_up")])
         context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
-    return np.array(found)
+    return np.array(rows).T
+
+
+def answered(errors, alphas=None, factor=FACTOR):
+    return run(errors, alphas, factor)[0]
+
+
+def told(errors):
+    """0 or 1 at each tick: whether alpha is high as it is answered, and whether the return is given up."""
+    return (run(errors) >= GUARD).astype(int).tolist()
 
 
 def test_each_answer_asks_for_ten_times_the_error():
@@ -37,18 +49,6 @@ def test_each_answer_asks_for_ten_times_the_error():
     errors = [0, 3, 3, 0, 3, 19, 21, 21, 0, 21, 199, 201, 0]
     high = answered(errors) >= GUARD
     assert high.tolist() == [0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 1, 0]
-
-
-def told(errors):
-    """At each tick: whether alpha is high as it is answered, and whether the return is given up."""
-    system = AlarmBackoff(criteria=1, factor=FACTOR, period=PERIOD)
-    context, rows = system.CreateDefaultContext(), []
-    system.set_calibration(context, BETA, GAMMA)
-    for error in errors:
-        fix(system, context, dict(alpha=[alpha_of(np.array([error]), BETA, GAMMA)], errors=[error]))
-        rows.append([system.GetOutputPort(name).Eval(context)[0] >= GUARD for name in ("answered_alpha", "given_up")])
-        context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
-    return np.array(rows).T.astype(int).tolist()
 
 
 def test_a_return_is_given_up_where_the_error_is_below_the_raised_gamma():
