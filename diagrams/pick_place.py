@@ -26,7 +26,7 @@ from models.checks import require_apart, require_one_of
 from models.command_line import REMEDIES, require, require_writable, run, say
 from models.errors import InputError
 from models.files.container import partial_of, remove_left_parts, write_text
-from systems.recoveries.registry import RECOVERIES, SHIPPED
+from systems.recoveries.registry import SHIPPED
 
 
 @dataclass
@@ -47,7 +47,6 @@ class PickPlaceArguments(Scenario):
     scenario: Path | None = None  # YAML over the defaults; options on the command line go over both
     # YAML file of the world, below what a scenario or options say of it
     world_file: Annotated[Path | None, tyro.conf.arg(name="world")] = None
-    recovery: str = SHIPPED  # what the arm does after an alarm: planned, backoff, regulator, hold, retrace
     weights: Path = WEIGHTS  # folder of the trained networks
     replay: Path = Path("outputs/replay.html")  # 3-D replay that opens offline in a browser
     plot: Path = Path("outputs/timeline.png")  # postures, both controllers' steps and alpha over time
@@ -90,7 +89,6 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
     """As `main`; the frames go to the file `video`, until it is whole."""
     with naming_file(cli.scenario):
         cli.check()
-    RECOVERIES.check(cli.recovery)
     if not 0.0 <= cli.realtime_rate < math.inf:
         raise InputError(
             f"the real-time rate {cli.realtime_rate} is negative or not finite: choose 0 (as fast as possible) or more"
@@ -178,7 +176,8 @@ def _run(cli: PickPlaceArguments, video: Path | None) -> int:
     def draw_timeline(path: Path) -> None:
         from diagrams.drawing.timeline import save_timeline  # not before the run: matplotlib
 
-        title = f"{rollout.policy.name.upper()}, disturbance {kind}, seed {cli.seed}: task {word}"
+        led = "" if outcome.recovery == SHIPPED else f", recovery {outcome.recovery}"
+        title = f"{rollout.policy.name.upper()}, disturbance {kind}, seed {cli.seed}{led}: task {word}"
         save_timeline(record, path, title)
 
     def draw_film(path: Path) -> None:

@@ -5,8 +5,8 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from systems.arguments import require_count, require_positive, require_vector
 from systems.detector import GUARD, NEVER, alpha_of
 
-PATIENCE = 8.0  # s: twice the longest way home
-MOST = 30  # answers that are counted: the level stays finite
+PATIENCE = 8.0  # s: a return after disturbance A takes up to 7
+MOST = 2  # returns that are counted: an arm that is moved away is noticed however many there were
 
 
 class AlarmBackoff(LeafSystem):
@@ -17,11 +17,14 @@ class AlarmBackoff(LeafSystem):
     sender that gets no answer waits longer each time (exponential backoff), the arm returns once more only for an error
     that is much larger.
 
-    n counts the returns, and each further PATIENCE seconds of one. Where n is 0, alpha is the detector's, to the bit.
-    Else a return begins where the error reaches the raised gamma. It is over with the detector's alpha; or, where the
-    error alone has fallen below the raised gamma, it is given up: the network starts anew, and has the arm in the next
-    tick, if its new recall too is within the raised gamma: the arm is near enough to home. n is 0 again once the
-    detector has had no alarm for PATIENCE seconds, while the network had the arm.
+    n counts the returns, and each PATIENCE seconds of one that is not over, up to MOST. Where n is 0, alpha is the
+    detector's, to the bit. Else a return begins where the error reaches the raised gamma. It is over with the
+    detector's alpha; or, where the error has fallen below the raised gamma alone, it is given up: the network starts
+    anew, and has the arm in the next tick, if the error of its new recall too is below that, as it is near home. (A
+    detector whose memory starts anew with the network says nothing in that tick: there it has the arm wherever that
+    is.) n is 0 again once the detector has had no alarm for PATIENCE seconds, while the network had the arm: under a
+    fault that stays, never. Then what is smaller than gamma factor^MOST goes unnoticed, such as an arm that is only
+    stopped.
 
     .. pydrake_system::
 
@@ -33,8 +36,8 @@ class AlarmBackoff(LeafSystem):
         alpha: (1,) alpha_k in [0, 1].
         errors: (E,) from which it comes, each divided by its mean on normal runs.
     Outputs:
-        answered_alpha: (1,) in the place of alpha_k: alpha_k; and where a return would begin, or has just been given
-            up, no more than Eqs. 5 and 6 make of the errors and gamma factor^n.
+        answered_alpha: (1,) in the place of alpha_k: alpha_k; but an alarm with which a return would begin, or that is
+            there after one was given up, is no more than Eqs. 5 and 6 make of the errors and gamma factor^n.
         given_up: (1,) 1 in the tick in which a return is given up, else 0: the network starts anew.
         Direct feedthrough of both inputs. A count has no derivative: no AutoDiff.
 
@@ -52,7 +55,7 @@ class AlarmBackoff(LeafSystem):
         super().__init__()
         self._factor = require_positive("factor", factor)
         if not 1.0 < self._factor <= 1e6:
-            raise ValueError(f"factor is {factor}; an alarm that is answered raises gamma: pass above 1, at most 1e6.")
+            raise ValueError(f"factor is {factor}; each return raises gamma by it: pass a number above 1, at most 1e6.")
         period = require_positive("period", period)
         self._patience = require_count("PATIENCE in ticks", max(round(PATIENCE / period), 1))
         self._beta, self._gamma = (self.DeclareNumericParameter(BasicVector([value])) for value in (1.0, NEVER))
@@ -71,9 +74,9 @@ class AlarmBackoff(LeafSystem):
             context.get_mutable_numeric_parameter(index).SetFromVector(value)
 
     def _raised(self, context: Context) -> float:
-        """alpha by the raised gamma, no more than the detector's."""
+        """The detector's alpha; where that is an alarm, no more than by the raised gamma."""
         alpha, answers = self._alpha.Eval(context)[0], context.get_discrete_state_vector()[0]
-        if not answers:
+        if not answers or alpha < GUARD:
             return alpha
         beta, gamma = (context.get_numeric_parameter(index)[0] for index in (self._beta, self._gamma))
         return min(alpha, alpha_of(self._errors.Eval(context), beta, gamma * self._factor**answers))

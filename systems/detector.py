@@ -26,6 +26,7 @@ finds by a name or as `package.module:Class`, offers beside the ports:
 
     name: str, a short one.
     learns_from: str, what `fit` is given; "postures" where there is no such attribute: see models/data/runs.py.
+    has_gamma: bool, whether alpha comes from errors by a gamma; True where there is no such attribute.
     fit(runs) -> arrays: static; what it learns from runs (T_i, J), rad, as a file keeps it: numpy arrays by name.
     build(policy, joints, arrays) -> System: static; judges the first `joints` components, and never fires yet.
         `policy`: see models/inference.py; `arrays`: of `fit`.

@@ -19,6 +19,7 @@ class NeverDetector(LeafSystem):
 
     name = "never"
     learns_from = "nothing"
+    has_gamma = False
 
     def __init__(self, policy):
         """`policy`: any object with `posture_size` M, `horizon` N, `state_size` S."""

@@ -29,6 +29,7 @@ class OracleDetector(LeafSystem):
 
     name = "oracle"
     learns_from = "nothing"
+    has_gamma = False
 
     def __init__(self, policy, joints: int):
         """`policy`: any object with `posture_size`, `horizon`, `state_size`, `scaling`, `initial_posture`; joints: J,

@@ -7,7 +7,7 @@ from pydrake.systems.primitives import Adder, AffineSystem, ConstantVectorSource
 from systems.alarm_backoff import AlarmBackoff
 from systems.alpha_mixer import AlphaMixer
 from systems.arguments import require_bounds, require_count, require_positive, require_vector
-from systems.detector import CalibratedDetector, check_detector
+from systems.detector import check_detector
 from systems.finger_release import FingerRelease
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
@@ -25,7 +25,7 @@ class SwitchedController(Diagram):
         name: SwitchedController
         input_ports: [rgb_image, posture]  # finger_gaps, gamma and active too, where told so
         output_ports: [desired_posture, rnn_step, regulator_step, alpha, errors, hidden_state, predicted_features,
-          recalled_postures, measured_posture, features, network_input]
+          recalled_postures, measured_posture, features, network_input]  # given_up before them, with a backoff
 
     Inputs (read at the ticks only):
         rgb_image: ImageRgba8U of image_width x image_height pixels.
@@ -37,7 +37,8 @@ class SwitchedController(Diagram):
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, or the recovery's step, per tick.
         alpha: (1,) alpha_k, which closed the loop at tick k and mixes until the next one. Of a recovery of its own: 1
             in the ticks in which that acts, else 0.
-        errors: (E,) of the detector, what alpha_k came from.
+        errors: (E,) of the detector, what alpha_k came from; with a backoff, see AlarmBackoff.
+        given_up: (1,) of AlarmBackoff; only with a `backoff`.
         hidden_state: (S,) c_k.
         predicted_features: (F,) f^R_{k+1}, in [-1, 1].
         recalled_postures: ((N + 1) M,) m^R_{k+1}, then m^R_{k-1}, ..., m^R_{k-N}, *scaled*, row by row.
@@ -94,8 +95,8 @@ class SwitchedController(Diagram):
             empty_below: m; where it starts anew, fingers measured to be nearer than this hold nothing and open: see
                 FingerRelease. None: they stay as they are.
             recovery: in the LQR's place, see systems/recoveries/; None: the LQR.
-            backoff: factor of AlarmBackoff, behind a CalibratedDetector; others have no gamma to be raised. Not behind
-                one whose gamma is an input. None: each alarm is answered alike.
+            backoff: factor of AlarmBackoff, for the LQR alone; not behind a detector whose gamma is an input, and none
+                behind one that has no gamma (`has_gamma`). None: each alarm is answered alike.
         """
         super().__init__()
         period = require_positive("period", period)
@@ -147,11 +148,16 @@ class SwitchedController(Diagram):
                 builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
 
         alpha, step, self._backoff = detector.GetOutputPort("alpha"), None, None
-        if backoff is not None and detector.HasInputPort("gamma"):
-            raise ValueError(f"backoff is {backoff}, but the detector's gamma is an input: leave one of the two out.")
-        if backoff is not None and isinstance(detector, CalibratedDetector):
-            criteria = detector.GetOutputPort("errors").size()  # type: ignore[attr-defined]
-            self._backoff = AlarmBackoff(criteria=criteria, factor=backoff, period=period)
+        if backoff is not None:
+            if detector.HasInputPort("gamma") or recovery is not None:
+                other = (
+                    "the detector's gamma is an input" if recovery is None else "the recovery has a system of its own"
+                )
+                raise ValueError(f"backoff is {backoff}, but {other}: leave one of the two out.")
+            criteria = detector.GetOutputPort("errors").size()
+            made = AlarmBackoff(criteria=criteria, factor=backoff, period=period)
+            self._backoff = made if getattr(detector, "has_gamma", True) else None
+        if self._backoff is not None:
             builder.AddNamedSystem("alarm_backoff", self._backoff)
             wire(detector, self._backoff, "alpha", "errors")
             alpha = self._backoff.GetOutputPort("answered_alpha")
@@ -169,28 +175,34 @@ class SwitchedController(Diagram):
             builder.Connect(step, mixer.GetInputPort("regulator_step"))
             # The network is fed what is measured all the while.
             closed_by = builder.AddNamedSystem("loop_stays_closed", ConstantVectorSource([0.0])).get_output_port()
-        reset = None  # above 1/2: the network starts anew
+        # Above 1/2: the network starts anew.
+        reset = None if self._backoff is None else self._backoff.GetOutputPort("given_up")
         if home_tolerance is not None:
             tolerance = require_positive("home_tolerance", home_tolerance) / half_range[:joints]
             home = HomeReset(posture_size=size, initial_posture=initial[:joints], tolerance=tolerance)
             builder.AddNamedSystem("home_reset", home)
             builder.Connect(alpha, home.GetInputPort("alpha"))
             builder.Connect(scale.get_output_port(), home.GetInputPort("posture"))
-            reset = home.get_output_port()
-            if self._backoff is not None:
+            given_up, reset = reset, home.get_output_port()
+            if given_up is not None:
                 either = builder.AddNamedSystem("home_or_given_up", Adder(2, 1))
                 builder.Connect(reset, either.get_input_port(0))
-                builder.Connect(self._backoff.GetOutputPort("given_up"), either.get_input_port(1))
+                builder.Connect(given_up, either.get_input_port(1))
                 reset = either.get_output_port()
-            builder.Connect(reset, network.GetInputPort("reset"))
         elif empty_below is not None:
             raise ValueError(f"empty_below is {empty_below} without a home_tolerance: give both, or none.")
+        if reset is not None:
+            builder.Connect(reset, network.GetInputPort("reset"))
         # Between the ticks the detector compares the posture of now with the prediction of the next tick: what it said
         # at the tick is held.
         holds = {
             name: builder.AddNamedSystem(f"{name}_hold", ZeroOrderHold(period, detector.GetOutputPort(name).size()))
             for name in ("alpha", "errors")
         }
+        if self._backoff is not None:
+            held = builder.AddNamedSystem("given_up_hold", ZeroOrderHold(period, 1))
+            builder.Connect(self._backoff.GetOutputPort("given_up"), held.get_input_port())
+            builder.ExportOutput(held.get_output_port(), "given_up")
 
         builder.ExportInput(image_encoder.GetInputPort("rgb_image"), "rgb_image")
         if network.HasInputPort("rgb_image"):

@@ -45,7 +45,7 @@ class Session:
         """`weights`: folder of the networks. Raises InputError as `begin` does, WeightsError for a damaged file."""
         self._weights, self._meshcat = weights, meshcat
         self._world, self._sampler = scenario.world, EpisodeSampler(scenario.world)
-        self._rollouts: dict[tuple[str, str, str | None, str | None], Rollout] = {}
+        self._rollouts: dict[tuple[str, str, str | None, str, str | None], Rollout] = {}
         self._chance = np.random.default_rng()  # of postures to move to: they are recorded, the dice are not
         self._holders: set[str] = set()
         self.scene = 0
@@ -93,11 +93,11 @@ class Session:
         self.begin(replace(self.scenario, **changes, hands=type(self.scenario.hands)()))
 
     def _rollout(self, scenario: Scenario) -> Rollout:
-        controlled = scenario.rnn, scenario.detector, scenario.policy
+        controlled = scenario.rnn, scenario.detector, scenario.policy, scenario.recovery
         fault = scenario.disturbance.kind if scenario.disturbance.fault else None
         chosen = *controlled, fault
         if chosen not in self._rollouts:
-            controller = controller_of(self._weights, *controlled)
+            controller = replace(controller_of(self._weights, *controlled[:3]), recovery=scenario.recovery)
             shown = dict(meshcat=self._meshcat, hands=True, fault=fault)
             built = build_rollout(self._world, self._weights / ENCODER, controller, **shown)
             if scenario.policy is None:

@@ -15,6 +15,12 @@ def make_controller(
     world: World, station: PickPlaceStation, encoder, policy, detector: System, recovery: str = SHIPPED
 ) -> SwitchedController:
     """See SwitchedController; `recovery`: of RECOVERIES. Raises InputError for parts that do not fit together."""
+    chosen = RECOVERIES[recovery]
+    backoff = getattr(chosen, "backoff", None)
+    if backoff is not None and not (isinstance(backoff, int | float) and 1.0 < backoff <= 1e6):
+        raise InputError(
+            f"the recovery '{chosen.name}' has the backoff {backoff!r:.60}: give it a number above 1, at most 1e6"
+        )
     lower, upper, speed = controller_limits(station)
     try:
         return SwitchedController(
@@ -34,8 +40,8 @@ def make_controller(
             image_height=world.camera.height,
             home_tolerance=HOME_TOLERANCE if world.resumption == "reset" else None,
             empty_below=world.empty_below if world.releases else None,
-            recovery=RECOVERIES[recovery].build(policy, ARM_JOINTS, world.timing.period),
-            backoff=getattr(RECOVERIES[recovery], "backoff", None),
+            recovery=chosen.build(policy, ARM_JOINTS, world.timing.period),
+            backoff=backoff,
         )
     except ValueError as error:
         raise InputError(f"the controller cannot be built: {error}") from error

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.hands_schedule import HandsSchedule
+from systems.recoveries.registry import SHIPPED
 
 DIVERGED = "simulation diverged"  # a failure of the task and of the switching
 
@@ -22,6 +23,7 @@ class Episode:
     # Whether the straight way home from the disturbance is clear; None: undisturbed, or not looked at.
     way_home_clear: bool | None = None
     hands: HandsSchedule = field(default_factory=HandsSchedule)  # what a person did beside it
+    recovery: str = SHIPPED  # short name
 
 
 @dataclass
@@ -62,6 +64,7 @@ class Outcome:
     realtime_factor: float = 0.0
     weights_hash: str = ""
     severity: float | None = None  # of a fault; None: the disturbance has none
+    recovery: str = SHIPPED  # what the arm does after an alarm, of systems/recoveries/
 
     @property
     def judged(self) -> bool:

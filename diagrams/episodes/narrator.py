@@ -8,6 +8,7 @@ from diagrams.episodes.switching import GUARD, RESUMED
 from diagrams.world.task import TaskMonitor
 
 MOVED_CAN = "the can is moved on the desk"
+GIVEN_UP = "the return is given up: the network starts anew"
 
 
 class Narrator:
@@ -18,12 +19,18 @@ class Narrator:
         self.events: list[tuple[float, str]] = []
         self._monitor, self._tell = monitor, tell
         self._was: dict[str, bool] = {}
+        self._given_up = False  # in the tick before
 
     def say(self, seconds: float, what: str) -> None:
         """Adds an event."""
         self.events.append((seconds, what))
         if self._tell is not None:
             self._tell(seconds, what)
+
+    def give_up(self, seconds: float) -> None:
+        """The return is given up, in the tick that was seen last."""
+        self.say(seconds, GIVEN_UP)
+        self._given_up = True
 
     def see(
         self,
@@ -40,6 +47,7 @@ class Narrator:
         held = bool(monitor.held(cans, posture))
         placed = bool(monitor.placed(cans))
         returning = alpha >= GUARD or (self._was.get("returning", False) and alpha > RESUMED)
+        resumes = None if self._given_up else "recalls again: the network resumes"
         for name, now, begins, ends in (
             (
                 "taken",
@@ -49,7 +57,7 @@ class Narrator:
             ),
             ("subtask 1", not held and not placed, "subtask 1: pick the can", None),
             ("disturbed", active, "the experimenter disturbs the arm", "the experimenter lets the arm go"),
-            ("returning", returning, "recall fails: switched to the LQR", "recalls again: the network resumes"),
+            ("returning", returning, "recall fails: switched to the LQR", resumes),
             ("home", returning and home, "at the initial posture", None),
             ("held", held, "picked; subtask 2: place the can", None),
             ("placed", placed and bool(monitor.released(posture)), "placed", None),
@@ -59,3 +67,4 @@ class Narrator:
                 if text is not None:
                     self.say(seconds, text)
             self._was[name] = now
+        self._given_up = False

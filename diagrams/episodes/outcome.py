@@ -91,6 +91,7 @@ def make_outcome(
         sim_seconds=len(record.time) * period,
         weights_hash=policy_hash,
         severity=None if given.fault is None else given.severity,
+        recovery=episode.recovery,
     )
     if until != "task":  # what was cut short is not judged
         outcome.success = None

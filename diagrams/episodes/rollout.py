@@ -89,6 +89,10 @@ class Rollout:
             calibration = calibration or stored_calibration(RECALL, policy, Path())
         self.calibration = calibration
         if hands:
+            if getattr(RECOVERIES[recovery], "backoff", None) is not None:
+                raise InputError(
+                    f"a person's hands may set gamma, which the recovery '{recovery}' raises: leave one out"
+                )
             detector = DialledDetector(detector)
         self.controller = make_controller(world, self.station, encoder, policy, detector, recovery)
         builder.AddNamedSystem("switched_controller", self.controller)
@@ -143,6 +147,8 @@ class Rollout:
             )
         } | {name: (signals[name].get_system(), signals[name]) for name in ("active", "rgb_image")}  # fmt: skip
         self._ports["acting"] = known.get_system(), known
+        if controller.HasOutputPort("given_up"):
+            self._ports["given_up"] = controller, controller.GetOutputPort("given_up")
         if self.fault is not None and self.fault.alters_posture:  # the truth, which is judged
             true = builder.AddNamedSystem("true_posture", ZeroOrderHold(period, policy.posture_size))
             builder.Connect(station.GetOutputPort("posture"), true.get_input_port())
@@ -292,6 +298,8 @@ class Rollout:
                 rows["picture_ticks"].append(k)
                 rows["pictures"].append(port.Eval(context).data[:, :, :3].copy())
             home = judge(k, bool(evaluated("taken")[0] > 0.5) or k in put)
+            if "given_up" in ports and evaluated("given_up")[0] > 0.5:
+                narrator.give_up(k * period)
             success = home and not active and monitor.success(cans, np.array(true), self.station.finger_gap(root))
             cut = switching.over(until)
             rows["tick_seconds"].append(time.perf_counter() - began)

@@ -1,6 +1,6 @@
 """Runs one episode in a worker: what the episodes of a process share is loaded once, and each diagram is built once."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from diagrams.episodes.calibration import Controller, make_detector, stored_calibration
@@ -11,6 +11,7 @@ from diagrams.episodes.switching import Until
 from diagrams.world.configuration import World
 from diagrams.world.faults.registry import is_fault
 from systems.detectors import DETECTORS
+from systems.recoveries.registry import RECOVERIES
 
 KEPT = 2  # diagrams a thread keeps, each with a renderer
 
@@ -82,6 +83,7 @@ def prepared(job: Job):
         detector = DETECTORS.label(controller.detector)
         names = dict(rnn=rollout.policy.name, detector=detector)
         episode = sampler.sample(job.seed, job.kind, **names, severity=job.severity)
+        episode = replace(episode, recovery=RECOVERIES.label(controller.recovery))
     calibration = controller.calibration or kept_in_thread(
         ("calibration", controller),
         lambda: stored_calibration(controller.detector, rollout.policy, controller.policy.parent),

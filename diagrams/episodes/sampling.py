@@ -19,6 +19,7 @@ from diagrams.world.trajectory import GRASP_ABOVE_CENTRE, HOVER, subtask_command
 from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.manual_disturbance import MOVE
+from systems.recoveries.registry import RECOVERIES
 
 XY = tuple[float, float]  # m, world
 UNLEARNED = (0.010, 0.020)  # distance of an unlearned position to the nearest trained one, m
@@ -130,7 +131,7 @@ class EpisodeSampler:
         kind = given.kind if given.level is None else "none"
         episode = self.sample(scenario.seed, kind, scenario.can, scenario.vacant, rnn, detector, given.severity)
         self._require_hands(scenario.hands)
-        episode = replace(episode, hands=scenario.hands)
+        episode = replace(episode, hands=scenario.hands, recovery=RECOVERIES.label(scenario.recovery))
         if given.level is None or given.kind == "none":
             return episode
         for first in range(0, len(given.target or []), ARM_JOINTS):

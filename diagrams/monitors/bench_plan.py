@@ -43,7 +43,9 @@ class BenchArguments(ClusterOptions):
     episodes: int = 1  # scenes of each fault and severity
     seed: int = 0  # which scenes; episode i has the same under everything
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx
-    recoveries: list[str] = field(default_factory=lambda: [SHIPPED])  # planned, backoff, regulator, hold, retrace
+    recoveries: list[str] = field(
+        default_factory=lambda: [SHIPPED]
+    )  # planned, backoff, regulator, hold, retrace, or package.module:Class
     rnn: str = "lstm"  # whose networks
     fit_runs: int = 12  # undisturbed validation episodes that the detectors learn from; a quarter gives the mean errors
     calibration_runs: int = 20  # others, that gamma comes from

@@ -37,7 +37,7 @@ class SweepArguments(ClusterOptions):
     rnn: list[str] = field(default_factory=lambda: ["lstm"])  # lstm, gru, mtrnn, or package.module:Class
     policy: list[str] = field(default_factory=list)  # package.module:Class of one's own, instead of networks
     detector: list[str] = field(default_factory=lambda: ["recall"])  # as in the registry, or package.module:Class
-    recovery: str = SHIPPED  # what the arm does after an alarm: planned, backoff, regulator, hold, retrace
+    recovery: str = SHIPPED  # after an alarm: planned, backoff, regulator, hold, retrace, or package.module:Class
     disturbance: list[str] = field(default_factory=lambda: list(DISTURBANCES))  # none, A, B, moved, faults
     severity: list[float] = field(default_factory=lambda: [1.0])  # of the faults, 0 to 1
     training_seeds: list[int] = field(default_factory=lambda: [0])  # 0 is lstm.onnx, 1 is lstm-1.onnx

@@ -11,8 +11,9 @@ from scipy.stats import binomtest
 
 from diagrams.sweeps.sequential import paired
 from diagrams.world.names import DISTURBANCES
+from systems.recoveries.registry import SHIPPED
 
-CELL = ["rnn", "detector", "gamma", "disturbance", "severity"]
+CELL = ["rnn", "detector", "gamma", "disturbance", "severity", "recovery"]
 # Measure: the column that says whether it went well, and what went wrong first. The last is the switching in the
 # paper's words (diagrams/episodes/switching.py).
 MEASURES = {
@@ -171,8 +172,8 @@ def sign_test(a: int, b: int) -> float:
 
 def _groups(rows: pd.DataFrame, columns: list[str]) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
     """Groups in the order in which they come, with plain labels (a missing gamma is None)."""
-    if "severity" not in rows:  # a table of a version that knew no faults
-        rows = rows.assign(severity=None)
+    # Tables of versions that knew no faults, or no recoveries.
+    rows = rows.assign(**{name: None for name in ("severity", "recovery") if name not in rows})
     for values, group in rows.groupby(columns, sort=False, dropna=False):
         yield {name: None if pd.isna(v) else v for name, v in zip(columns, values, strict=True)}, group
 
@@ -239,6 +240,7 @@ def disturbance_name(labels: dict[str, Any]) -> str:
 
 
 def controller_name(labels: dict[str, Any]) -> str:
-    """For people: LSTM recall, or LSTM recall gamma 3."""
+    """For people: LSTM recall, or LSTM recall gamma 3, or LSTM recall backoff."""
     gamma = "" if labels["gamma"] is None else f" gamma {labels['gamma']:g}"
-    return f"{labels['rnn'].upper()} {labels['detector']}{gamma}"
+    recovery = labels.get("recovery") or SHIPPED
+    return f"{labels['rnn'].upper()} {labels['detector']}{gamma}{'' if recovery == SHIPPED else f' {recovery}'}"

@@ -42,7 +42,7 @@ SCHEMA = pa.schema(_OUTCOME | _OWN | _ROBUSTNESS)
 _EPISODE = ("rnn", "training_seed", "detector", "gamma", "disturbance", "severity", "seed")
 _KNOWN = (*_EPISODE, "weights_hash", "success", "void", "error")
 # Columns that tables of earlier versions lack: they are empty.
-LATER = ("traceback", "severity", "own_code", *_ROBUSTNESS)
+LATER = ("traceback", "severity", "own_code", "recovery", *_ROBUSTNESS)
 
 
 def require_rows(path: Path, rows: dict[str, Any]) -> None:
@@ -52,8 +52,8 @@ def require_rows(path: Path, rows: dict[str, Any]) -> None:
     """
     for key, row in rows.items():
         try:
-            # Rows of earlier versions have no own_code, and may be gone on with.
-            absent = set(SCHEMA.names if row["error"] is None else _KNOWN) - row.keys() - {"own_code"}
+            # Rows of earlier versions have neither, and may be gone on with.
+            absent = set(SCHEMA.names if row["error"] is None else _KNOWN) - row.keys() - {"own_code", "recovery"}
             if absent:
                 raise ValueError(f"no {', '.join(sorted(absent))}")
             pa.Table.from_pylist([row], schema=SCHEMA)

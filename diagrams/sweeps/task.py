@@ -76,6 +76,7 @@ class Task:
         """Columns of a row that are known before the episode is run."""
         names = ("rnn", "training_seed", "gamma", "severity", "seed", *HASHES)
         labels = {"detector": DETECTORS.label(self.detector), "disturbance": kind_label(self.disturbance)}
+        labels["recovery"] = RECOVERIES.label(self.recovery)
         return {name: getattr(self, name) for name in names} | labels
 
 

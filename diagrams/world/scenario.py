@@ -18,6 +18,7 @@ from models.files.container import write_text
 from models.networks import network_label
 from models.policy import POLICIES, make_policy
 from systems.detectors import DETECTORS
+from systems.recoveries.registry import RECOVERIES, SHIPPED
 
 MOST_WORDS = 500  # letters of a reason that are told
 
@@ -35,6 +36,7 @@ class Scenario:
     world: World = field(default_factory=World)
     policy: str | None = None  # package.module:Class of one's own (models/policy.py), instead of rnn
     hands: HandsSchedule = field(default_factory=HandsSchedule)  # what a person did, as live.py --save leaves it
+    recovery: str = SHIPPED  # after an alarm: planned, backoff, regulator, hold, retrace, or package.module:Class
 
     @property
     def label(self) -> str:
@@ -49,6 +51,7 @@ class Scenario:
                 raise InputError(f"the policy '{self.policy}' and the network '{self.rnn}' are given: leave one out")
             make_policy(self.policy)
         DETECTORS.check(self.detector)
+        RECOVERIES.check(self.recovery)
         if self.vacant not in (*SPOTS, None):
             raise InputError(f"there is no vacant spot '{self.vacant}': choose one of {', '.join(SPOTS)}")
         if self.seed < 0:

@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 from systems.alarm_backoff import MOST, PATIENCE, AlarmBackoff
 from systems.detector import GUARD, alpha_of
 from systems.dialled_detector import DialledDetector
+from systems.never_detector import NeverDetector
+from systems.oracle_detector import OracleDetector
 from systems.recoveries.registry import RECOVERIES
 from tests.systems.controller_fakes import PERIOD, ClosedLoop, FakePolicy, TickArm, make_controller
 from tests.systems.outside_detector import FarFromHome
 from tests.systems.system_checks import fix
 from tests.systems.test_contract import wires_of
-from tests.systems.test_law import Scheduled
 
 BETA, GAMMA, FACTOR = 30.0, 2.0, 10.0
 TICKS = round(PATIENCE / PERIOD)
@@ -46,9 +47,9 @@ def told(errors):
 
 def test_each_answer_asks_for_ten_times_the_error():
     """By hand: gamma is 2, then 20, then 200; an error between is an alarm by the first alone."""
-    errors = [0, 3, 3, 0, 3, 19, 21, 21, 0, 21, 199, 201, 0]
+    errors = [0, 3, 3, 0, 3, 19, 21, 21, 0, 21, 199, 201, 0, 199, 201, 0]
     high = answered(errors) >= GUARD
-    assert high.tolist() == [0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 1, 0]
+    assert high.tolist() == [0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 1, 0, 0, 1, 0]  # from the second on, alike
 
 
 def test_a_return_is_given_up_where_the_error_is_below_the_raised_gamma():
@@ -67,6 +68,13 @@ def test_the_first_alarm_is_the_detectors_to_the_bit():
     errors = [0.3, 1.99, 2.001, 2.02, 7.0, 2.0]
     alphas = [0.1, 0.7, 0.501, 0.6, 0.9, 0.50001]  # whatever it makes of its errors
     assert answered(errors, alphas).tolist() == alphas
+
+
+def test_what_is_no_alarm_is_the_detectors_to_the_bit():
+    alphas = [0.9, 0.3, 0.49, 0.9, 0.1]
+    assert answered([3.0] * 5, alphas).tolist()[:3] == alphas[:3]
+    assert answered([3.0] * 5, alphas)[3] < 1e-9
+    assert answered([3.0] * 5, alphas)[4] == 0.1
 
 
 def test_a_return_that_does_not_end_counts_as_one_each_time_patience_is_over():
@@ -95,16 +103,12 @@ def test_it_never_adds_an_alarm_and_stays_finite(errors, factor):
     assert np.all((found >= 0.0) & (found <= 1.0))
 
 
-def test_a_fault_that_stays_is_answered_seldom():
-    """Of an error that stays within E, at most log(E / gamma) / log(factor) + 1 returns are begun."""
-    errors = np.tile([500.0, 500.0, 0.0, 0.0], 100)
-    rises = np.diff(answered(errors) >= GUARD, prepend=False) & (answered(errors) >= GUARD)
-    assert rises.sum() == 3 == int(np.log10(500.0 / GAMMA)) + 1
-
-
-def test_so_many_answers_leave_the_level_finite():
-    found = answered([1e300, 0.0] * (MOST + 3), factor=1e6)
-    assert np.isfinite(found).all()
+@pytest.mark.parametrize(("error", "returns"), [(19.0, 1), (150.0, 2), (201.0, 100)])
+def test_a_fault_that_stays_is_answered_seldom_and_a_large_one_always(error, returns):
+    """gamma is 2, then 20, then 200, and stays there."""
+    assert MOST == 2
+    high = answered(np.tile([error, error, 0.0, 0.0], 100)) >= GUARD
+    assert (np.diff(high, prepend=False) & high).sum() == returns
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.5, 1e7, np.nan])
@@ -126,24 +130,35 @@ def test_what_it_adds_to_the_controller():
         "alarm_backoff.answered_alpha -> home_reset.alpha",
         "alarm_backoff.answered_alpha -> loop_closer.alpha",
         "alarm_backoff.given_up -> home_or_given_up.u1",
+        "alarm_backoff.given_up -> given_up_hold.u",
         "home_reset.reset -> home_or_given_up.u0",
         "home_or_given_up.sum -> recurrent_policy.reset",
     }
-    recovery = RECOVERIES["hold"].build(policy, 3, PERIOD)
-    assert "alarm_backoff.answered_alpha -> recovery.alarm" in wires(backoff=10.0, recovery=recovery)
 
 
-def test_a_detector_without_a_gamma_is_answered_always():
+def test_without_a_new_start_at_home_the_network_starts_anew_where_a_return_is_given_up():
     policy = FakePolicy()
-    made = [wires_of(make_controller(policy=policy, detector=Scheduled(policy), backoff=b)) for b in (None, 10.0)]
+    assert "alarm_backoff.given_up -> recurrent_policy.reset" in wires_of(
+        make_controller(policy=policy, detector=FarFromHome(policy), backoff=10.0)
+    )
+
+
+@pytest.mark.parametrize("kind", [NeverDetector, lambda policy: OracleDetector(policy, 3)])
+def test_a_detector_without_a_gamma_is_answered_always(kind):
+    policy = FakePolicy()
+    made = [wires_of(make_controller(policy=policy, detector=kind(policy), backoff=b)) for b in (None, 10.0)]
     assert made[0] == made[1]
+    with pytest.raises(ValueError, match=r"factor is 1\.0"):
+        make_controller(policy=policy, detector=kind(policy), backoff=1.0)
 
 
-def test_where_gamma_is_an_input_it_cannot_be_raised():
+def test_what_does_not_go_with_it_is_refused():
     policy = FakePolicy()
-    detector = DialledDetector(FarFromHome(policy))
     with pytest.raises(ValueError, match=r"backoff is 10.0, but the detector's gamma is an input: leave one"):
-        make_controller(policy=policy, detector=detector, backoff=10.0)
+        make_controller(policy=policy, detector=DialledDetector(FarFromHome(policy)), backoff=10.0)
+    recovery = RECOVERIES["hold"].build(policy, 3, PERIOD)
+    with pytest.raises(ValueError, match=r"backoff is 10.0, but the recovery has a system of its own: leave one"):
+        make_controller(policy=policy, detector=FarFromHome(policy), backoff=10.0, recovery=recovery)
 
 
 def test_in_the_loop_a_return_is_given_up_and_the_network_starts_anew():
