@@ -20,7 +20,7 @@ class FingerRelease(LeafSystem):
 
     Inputs:
         desired_posture: (M,) the command, joint angles in rad, then the openings of the fingers in m.
-        reset: (1,) of HomeReset, as it was at the tick.
+        reset: (1,) above 1/2: the network starts anew; as it was at the tick.
         finger_gaps: (M - J,) m, the openings as measured at the tick.
     Outputs:
         released_posture: (M,) the command; where `reset` is 1, fingers whose gap is below `empty_below` open.

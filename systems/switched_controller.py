@@ -33,7 +33,7 @@ class SwitchedController(Diagram):
         finger_gaps: (M - J,) these openings as measured, m; only with `empty_below`.
         gamma: (1,) see systems/dialled_detector.py; active: (1,) see systems/detector.py; only with such a detector.
     Outputs (physical units; constant between ticks, but for the last two, which alone have direct feedthrough):
-        desired_posture: (M,) the command m_k + dm; at home, empty fingers open.
+        desired_posture: (M,) the command m_k + dm; where the network starts anew, empty fingers open.
         rnn_step, regulator_step: (M,) dm^R_k and dm^L_k, or the recovery's step, per tick.
         alpha: (1,) alpha_k, which closed the loop at tick k and mixes until the next one. Of a recovery of its own: 1
             in the ticks in which that acts, else 0.
