@@ -21,6 +21,8 @@ def make_controller(
         raise InputError(
             f"the recovery '{chosen.name}' has the backoff {backoff!r:.60}: give it a number above 1, at most 1e6"
         )
+    if backoff is not None and detector.HasInputPort("gamma"):
+        raise InputError(f"a person's hands may set gamma, which the recovery '{chosen.name}' raises: leave one out")
     lower, upper, speed = controller_limits(station)
     try:
         return SwitchedController(

@@ -89,10 +89,6 @@ class Rollout:
             calibration = calibration or stored_calibration(RECALL, policy, Path())
         self.calibration = calibration
         if hands:
-            if getattr(RECOVERIES[recovery], "backoff", None) is not None:
-                raise InputError(
-                    f"a person's hands may set gamma, which the recovery '{recovery}' raises: leave one out"
-                )
             detector = DialledDetector(detector)
         self.controller = make_controller(world, self.station, encoder, policy, detector, recovery)
         builder.AddNamedSystem("switched_controller", self.controller)
