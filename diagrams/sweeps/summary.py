@@ -172,8 +172,9 @@ def sign_test(a: int, b: int) -> float:
 
 def _groups(rows: pd.DataFrame, columns: list[str]) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
     """Groups in the order in which they come, with plain labels (a missing gamma is None)."""
-    # Tables of versions that knew no faults, or no recoveries.
+    # Tables of versions that knew no faults, or no recovery but the one that ships.
     rows = rows.assign(**{name: None for name in ("severity", "recovery") if name not in rows})
+    rows = rows.assign(recovery=rows["recovery"].where(rows["recovery"].notna(), SHIPPED))
     for values, group in rows.groupby(columns, sort=False, dropna=False):
         yield {name: None if pd.isna(v) else v for name, v in zip(columns, values, strict=True)}, group
 
@@ -242,5 +243,5 @@ def disturbance_name(labels: dict[str, Any]) -> str:
 def controller_name(labels: dict[str, Any]) -> str:
     """For people: LSTM recall, or LSTM recall gamma 3, or LSTM recall backoff."""
     gamma = "" if labels["gamma"] is None else f" gamma {labels['gamma']:g}"
-    recovery = labels.get("recovery") or SHIPPED
+    recovery = labels.get("recovery", SHIPPED)
     return f"{labels['rnn'].upper()} {labels['detector']}{gamma}{'' if recovery == SHIPPED else f' {recovery}'}"

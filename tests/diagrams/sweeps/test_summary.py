@@ -93,6 +93,12 @@ def test_cells_pool_the_training_seeds_and_nothing_else():
     assert found[0]["resume_s"] is None
 
 
+def test_rows_without_a_recovery_are_of_the_one_that_ships():
+    rows = [frame("lstm", [True] * 4).assign(recovery=name) for name in (None, "planned", "backoff")]
+    found = cells(pd.concat([frame("lstm", [False] * 2), *rows]))
+    assert [(cell["recovery"], cell["task"]["n"]) for cell in found] == [("planned", 10), ("backoff", 4)]
+
+
 def test_false_alarms_under_way_at_the_onset_are_no_fast_detections():
     rows = frame("lstm", [1, 1, 1, 0])
     rows.loc[3, ["false_switches", "detection_delay_s"]] = [1, 0.0]
