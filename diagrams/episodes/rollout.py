@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from diagrams.episodes.run_log import COMMAND, RunLog
 from diagrams.episodes.switching import GUARD, Switching, Until
 from diagrams.episodes.way_home import WayHome
 from diagrams.world.can_mover import CanMover
-from diagrams.world.clearance_map import add_clearance_filter, tell_of_cans
+from diagrams.world.clearance_map import tell_of_cans
 from diagrams.world.configuration import World
 from diagrams.world.disturbance import DisturbanceSpec
 from diagrams.world.faults.registry import FAULTS
@@ -33,6 +32,7 @@ from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, other_spot
 from diagrams.world.requirement_watch import RequirementWatch
 from diagrams.world.station import PickPlaceStation
 from diagrams.world.task import TIME_LIMIT, TaskMonitor
+from diagrams.world.way_home import add_way_home
 from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.dialled_detector import DialledDetector
@@ -120,9 +120,8 @@ class Rollout:
         if world.releases:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
         outputs = (controller.GetOutputPort(name) for name in FILTERED)
-        looks = RECOVERIES[recovery].looks
-        seen = world if looks else replace(world, clearance=replace(world.clearance, cans="unseen"))
-        filtered = add_clearance_filter(builder, seen, station, *outputs)
+        regulated = controller.HasSubsystemNamed("regulated_mixer")
+        filtered = add_way_home(builder, world, station, *outputs, RECOVERIES[recovery].looks, regulated)
         command = filtered if self.hands is None else self.hands.late(builder, filtered)
         builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))

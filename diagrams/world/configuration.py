@@ -93,6 +93,7 @@ class Regulator:
 
     state_weight: float = 1.0
     input_weight: float = 90.0
+    incremental: bool = False  # steps home are added to the last command, see systems/incremental_command.py
 
 
 @dataclass

@@ -25,6 +25,7 @@ from systems.first_given import FirstGiven
 from systems.flow_detector import FlowDetector
 from systems.home_reset import HomeReset
 from systems.image_encoder import ImageEncoder
+from systems.incremental_command import IncrementalCommand
 from systems.innovation_detector import InnovationDetector
 from systems.knn_detector import KnnDetector
 from systems.loop_closer import LoopCloser
@@ -180,6 +181,17 @@ CASES = {
             for i in ("posture", "desired_posture", "alpha", "obstacles")
             for o in ("filtered_posture", "clearance")
         },
+    ),
+    "IncrementalCommand": (
+        lambda: IncrementalCommand(
+            initial_posture=np.zeros(M),
+            joints=3,
+            lower=-np.ones(M),
+            upper=np.ones(M),
+            max_step=np.ones(3),
+            period=PERIOD,
+        ),
+        {(i, "incremental_posture") for i in ("posture", "desired_posture", "alpha")},
     ),
     "RequirementMonitor": (
         lambda: RequirementMonitor(parse_requirements(REQUIRED, ("a", "b"), PERIOD, "here"), ("a", "b"), PERIOD),
