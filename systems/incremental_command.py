@@ -17,7 +17,8 @@ class IncrementalCommand(LeafSystem):
     Advanced PID Control, 2006). While the arm goes where it is commanded to, both are the same. A servo that makes the
     share s of a step in a tick gives the loop z^2 - (2 - s) z + 1 - s + s K: stable for 0 < s <= 1, 0 < K < 1.
 
-    A command does not wind up where something holds the arm: it stays within one tick's largest step of m_k.
+    So only a constant up to `largest_offset` is made up for. More would wind up where somebody holds the arm: it would
+    spring off when it is let go, and fling the can.
 
     .. pydrake_system::
 
@@ -31,8 +32,8 @@ class IncrementalCommand(LeafSystem):
         alpha: (1,) alpha_k: below 1/2, on the learned motion, the command passes.
         sent_posture: (M,) c_k, what is made of the output further on; read by the update of the next tick alone.
     Output:
-        incremental_posture: (M,) joints: m_k + [c_{k-1} + dm_k - m_k], [] clamped to +-max_step, then the sum to
-            [lower, upper]; the other components pass.
+        incremental_posture: (M,) joints: m_k + dm_k + [c_{k-1} - m_k], [] clamped to +-largest_offset; the command
+            within +-max_step of m_k, and within [lower, upper]; the other components pass.
 
     Direct feedthrough of all but sent_posture. Discrete state: (J,) c_{k-1}, rad, on the learned motion too; at first
     the initial posture. No AutoDiff: it acts where the filter does, which has none.
@@ -46,6 +47,7 @@ class IncrementalCommand(LeafSystem):
         lower: np.ndarray,
         upper: np.ndarray,
         max_step: np.ndarray,
+        largest_offset: float,
         period: float,
     ):
         """
@@ -53,7 +55,8 @@ class IncrementalCommand(LeafSystem):
             initial_posture: (M,), rad first.
             joints: J, the first J components are joint angles.
             lower, upper: (M,) limits of the command.
-            max_step: (J,) largest step of a tick, rad.
+            max_step: (J,) largest difference of command and posture, rad.
+            largest_offset: rad, above 0.
             period: of the ticks, s.
         """
         super().__init__()
@@ -63,6 +66,7 @@ class IncrementalCommand(LeafSystem):
         lower, upper = require_bounds("lower", lower, "upper", upper, size)
         self._lower, self._upper = lower[:joints], upper[:joints]
         self._max_step = require_vector("max_step", max_step, joints, minimum=0.0)
+        self._largest_offset = np.full(joints, require_positive("largest_offset", largest_offset))
         self._posture = self.DeclareVectorInputPort("posture", size)
         self._desired = self.DeclareVectorInputPort("desired_posture", size)
         self._alpha = self.DeclareVectorInputPort("alpha", 1)
@@ -78,9 +82,9 @@ class IncrementalCommand(LeafSystem):
         if self._alpha.Eval(context)[0] < GUARD:
             return desired
         posture = self._posture.Eval(context)[: self._joints]
-        last = context.get_discrete_state(self._last).value()
-        ahead = clamp(last + (desired - posture) - posture, -self._max_step, self._max_step)
-        return clamp(posture + ahead, self._lower, self._upper)
+        ahead = context.get_discrete_state(self._last).value() - posture
+        step = desired - posture + clamp(ahead, -self._largest_offset, self._largest_offset)
+        return clamp(posture + clamp(step, -self._max_step, self._max_step), self._lower, self._upper)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(np.concatenate((self._command(context), self._desired.Eval(context)[self._joints :])))

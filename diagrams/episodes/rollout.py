@@ -121,7 +121,8 @@ class Rollout:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
         outputs = (controller.GetOutputPort(name) for name in FILTERED)
         regulated = controller.HasSubsystemNamed("regulated_mixer")
-        filtered = add_way_home(builder, world, station, *outputs, RECOVERIES[recovery].looks, regulated)
+        looks = RECOVERIES[recovery].looks
+        filtered = add_way_home(builder, world, station, *outputs, looks=looks, regulated=regulated)
         command = filtered if self.hands is None else self.hands.late(builder, filtered)
         builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))

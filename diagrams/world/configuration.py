@@ -21,6 +21,7 @@ LARGEST_PICTURE = 2048  # pixels a side
 LARGEST_GRID = 100  # positions a side
 FARTHEST = 10.0  # m, of what is on the desk: no arm reaches so far
 WIDEST = 1.0  # m, between the fingers: no hand opens so far
+LARGEST_OFFSET = 0.5  # rad, of a joint: an arm that is let go may spring that far
 CLEARANCE_CANS = ("possible", "known", "unseen")
 RESUMPTIONS = ("reset", "imagined")
 MOST_HALVINGS = 10  # of a period to a time step: a simulation of smaller ones would not end
@@ -93,7 +94,7 @@ class Regulator:
 
     state_weight: float = 1.0
     input_weight: float = 90.0
-    incremental: bool = False  # steps home are added to the last command, see systems/incremental_command.py
+    offset: float = 0.0  # rad, largest one in spite of which a joint comes home: see systems/incremental_command.py
 
 
 @dataclass
@@ -157,6 +158,7 @@ class World:
             for place in self.grid.corner:
                 require_number("world.grid.corner", place, -FARTHEST, FARTHEST)
             require_number("world.grid.spacing", self.grid.spacing, SMALLEST, FARTHEST)
+            require_number("world.regulator.offset", self.regulator.offset, 0.0, LARGEST_OFFSET)
             require_vector("world.initial_joints_deg", self.initial_joints_deg, ARM_JOINTS)
         except ValueError as error:
             raise InputError(str(error)) from error

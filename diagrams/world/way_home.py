@@ -26,17 +26,17 @@ def add_way_home(
     Args:
         posture: (8,) as sampled at the tick.
         looks: whether the filter that `world.clearance` asks for is there.
-        regulated: whether the steps are the LQR's: `world.regulator.incremental` is about no others.
+        regulated: whether the steps are the LQR's: `world.regulator.offset` is about no others.
 
     Raises InputError as `clearance_filter` does.
     """
-    incremental = world.regulator.incremental and regulated
+    incremental = world.regulator.offset > 0.0 and regulated
     if incremental:
         lower, upper, speed = controller_limits(station)
         period = world.timing.period
         system = IncrementalCommand(
             initial_posture=world.initial_posture, joints=ARM_JOINTS, lower=lower, upper=upper,
-            max_step=speed[:ARM_JOINTS] * period, period=period,
+            max_step=speed[:ARM_JOINTS] * period, largest_offset=world.regulator.offset, period=period,
         )  # fmt: skip
         builder.AddNamedSystem("incremental_command", system)
         for name, port in (("posture", posture), ("alpha", alpha), ("desired_posture", command)):

@@ -189,6 +189,7 @@ CASES = {
             lower=-np.ones(M),
             upper=np.ones(M),
             max_step=np.ones(3),
+            largest_offset=0.1,
             period=PERIOD,
         ),
         {(i, "incremental_posture") for i in ("posture", "desired_posture", "alpha")},

@@ -8,13 +8,15 @@ from hypothesis import strategies as st
 from systems.incremental_command import IncrementalCommand
 from tests.systems.system_checks import fix
 
-GAIN, MAX_STEP = 0.1, 0.2  # of the posture regulator; rad a tick
+GAIN, MAX_STEP, LARGEST = 0.1, 0.35, 0.2  # of the posture regulator; step and offset, rad
 
 
 def make(joints=1, **changes):
     size = joints + 1  # and a finger
     given = dict(initial_posture=np.zeros(size), joints=joints, lower=-4.0 * np.ones(size), upper=4.0 * np.ones(size))
-    return IncrementalCommand(**(given | dict(max_step=np.full(joints, MAX_STEP), period=0.1) | changes))
+    return IncrementalCommand(
+        **(given | dict(max_step=np.full(joints, MAX_STEP), largest_offset=LARGEST, period=0.1) | changes)
+    )
 
 
 class Loop:
@@ -52,9 +54,10 @@ def test_by_hand_the_steps_add_up():
     loop = Loop()
     assert loop.tick(1.0, 0.95, alpha=0.0).tolist() == [0.95, 0.08]  # the network's: as it is
     assert loop.tick(1.0, 0.90).tolist() == pytest.approx([0.85, 0.08])
-    assert loop.tick(1.0, 0.90).tolist() == pytest.approx([0.80, 0.08])  # no farther from 1.0 than 0.2
-    assert loop.tick(1.0, 0.90).tolist() == pytest.approx([0.80, 0.08])
-    assert loop.tick(0.7, 0.63).tolist() == pytest.approx([0.73, 0.08])
+    assert loop.tick(1.0, 0.90).tolist() == pytest.approx([0.75, 0.08])
+    assert loop.tick(1.0, 0.90).tolist() == pytest.approx([0.70, 0.08])  # an offset of 0.2, not of 0.25
+    assert loop.tick(1.0, 0.90).tolist() == pytest.approx([0.70, 0.08])
+    assert loop.tick(0.7, 0.63).tolist() == pytest.approx([0.63, 0.08])
     assert loop.tick(0.7, 0.95, alpha=0.49).tolist() == [0.95, 0.08]
     assert loop.tick(0.9, 0.81, alpha=0.5).tolist() == pytest.approx([0.86, 0.08])
 
@@ -67,7 +70,10 @@ def test_by_hand_it_goes_on_from_what_was_sent():
     assert loop.tick(1.0, 0.9)[0] == pytest.approx(0.89)
 
 
-def test_the_command_stays_within_the_limits():
+def test_the_command_stays_within_the_limits_of_speed_and_position():
+    loop = Loop()
+    loop.tick(1.0, 0.8, alpha=0.0)
+    assert loop.tick(1.0, 0.8)[0] == pytest.approx(0.65)  # 0.2 and the 0.2 of before are more than 0.35
     loop = Loop(lower=[-0.1, 0.0], upper=[0.1, 1.0])
     loop.tick(0.1, 0.1, alpha=0.0)
     assert loop.tick(0.1, 0.2)[0] == 0.1
@@ -87,9 +93,9 @@ def test_where_the_arm_rests_by_hand(incremental, rests):
     assert Loop().home(1.0, 300, 0.05, 1.0, incremental)[-1] == pytest.approx(rests, abs=1e-6)
 
 
-def test_an_offset_larger_than_a_step_is_not_made_up_for():
-    """|offset| 0.25, step 0.2: the arm is led 0.05 a tick away from home, up to its limit."""
-    assert Loop().home(0.0, 400, 0.25)[-1] == pytest.approx(4.0, abs=0.3)
+def test_of_a_larger_offset_the_rest_remains():
+    """0.25, of which 0.2 is made up for: the arm rests ten times 0.05 from home."""
+    assert Loop().home(0.0, 400, 0.25)[-1] == pytest.approx(0.5, abs=1e-6)
 
 
 @given(st.floats(-1.9, 1.9))
@@ -105,10 +111,10 @@ def test_its_ideal_loop_is_stable_for_every_servo(executed, gain):
 
 
 def test_a_held_arm_does_not_wind_it_up():
-    """Held for as long as one likes, the arm goes on with a step of the largest size, not more."""
+    """However long it is held: when it is let go its step is the regulator's and the largest offset, not more."""
     loop = Loop()
     commands = [loop.tick(1.0, 0.9)[0] for _ in range(50)]
-    assert commands[-1] == pytest.approx(1.0 - MAX_STEP)
+    assert commands[-1] == pytest.approx(0.9 - LARGEST)
 
 
 @pytest.mark.parametrize(
@@ -117,6 +123,7 @@ def test_a_held_arm_does_not_wind_it_up():
         (dict(joints=3, initial_posture=[0.0, 0.0]), "joints is 3.*at most 2"),
         (dict(period=0.0), "period is 0.0.*greater than 0"),
         (dict(max_step=[-0.1]), "max_step is .*at least 0"),
+        (dict(largest_offset=0.0), "largest_offset is 0.0.*greater than 0"),
         (dict(lower=[0.0, 2.0], upper=[0.0, 1.0]), "lower"),
         (dict(initial_posture=[np.nan, 0.0]), "initial_posture is .*nan.*finite"),
     ],

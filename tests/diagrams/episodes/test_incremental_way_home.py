@@ -16,7 +16,7 @@ SECONDS = 14.0
 
 @pytest.fixture(scope="module")
 def incremental(world):
-    return replace(world, regulator=Regulator(incremental=True))
+    return replace(world, regulator=Regulator(offset=0.1))
 
 
 def wires_into(rollout, *names):
