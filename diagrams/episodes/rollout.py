@@ -39,7 +39,7 @@ from systems.dialled_detector import DialledDetector
 from systems.disturbance import Disturbance
 from systems.recoveries.registry import RECOVERIES, SHIPPED
 
-FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into the clearance filter
+FILTERED = ("measured_posture", "alpha", COMMAND)  # outputs of the controller that go into `add_way_home`
 WATCHED = ("measured_posture", "alpha", "active")  # after each step of the plant on a way home
 
 
@@ -119,17 +119,15 @@ class Rollout:
         builder.Connect(signals["posture"], controller.GetInputPort("posture"))
         if world.releases:
             builder.Connect(station.GetOutputPort("finger_gap"), controller.GetInputPort("finger_gaps"))
-        outputs = (controller.GetOutputPort(name) for name in FILTERED)
-        regulated = controller.HasSubsystemNamed("regulated_mixer")
-        looks = RECOVERIES[recovery].looks
-        filtered = add_way_home(builder, world, station, *outputs, looks=looks, regulated=regulated)
+        posture, alpha, command = (controller.GetOutputPort(name) for name in FILTERED)
+        looks, regulated = RECOVERIES[recovery].looks, controller.HasSubsystemNamed("regulated_mixer")
+        filtered = add_way_home(builder, world, station, posture, alpha, command, looks, regulated)
         command = filtered if self.hands is None else self.hands.late(builder, filtered)
         builder.Connect(command, disturbance.GetInputPort("desired_posture"))
         builder.Connect(station.GetOutputPort("approach_distance"), disturbance.GetInputPort("trigger"))
         builder.Connect(disturbance.GetOutputPort("ticks_since_onset"), self.can_mover.get_input_port())
         for name in ("desired_posture", "can_place"):
             builder.Connect(signals[name], station.GetInputPort(name))
-        alpha, posture = (controller.GetOutputPort(name) for name in ("alpha", "measured_posture"))
         self.requirements = RequirementWatch(
             builder, world, station, alpha, signals["active"], posture, filtered, monitored
         )
