@@ -30,6 +30,7 @@ from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.task import HOME_TOLERANCE
 from models.checks import Range
+from models.errors import InputError
 
 CALIBRATION_SHARE = 10  # postures or episodes of the proof for one of the calibration
 LEAST_CALIBRATION = {"box": 40, "draws": 10}  # postures, episodes
@@ -56,6 +57,11 @@ class Return(Arguments):
         from diagrams.drawing.return_certificate import save_certificate
 
         world, path = self.loaded_world(), self.out / "return_trajectories.jsonl"
+        if world.regulator.offset > 0.0:
+            raise InputError(
+                f"world.regulator.offset {world.regulator.offset:g} rad: the certificate is of the way home from the "
+                "measured posture alone, leave it at 0"
+            )
         identity = fingerprint_with_analyses(world)
         with RowStore(path, identity) as store, Pool(self.workers) as pool:
             found, picture = certify(

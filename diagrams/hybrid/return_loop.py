@@ -6,18 +6,17 @@ from typing import Any, Self, get_type_hints
 import numpy as np
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import PassThrough
 
 from diagrams.episodes.store import of_plain
 from diagrams.episodes.way_home import WayHome
-from diagrams.world.clearance_map import tell_of_cans
+from diagrams.world.clearance_map import add_clearance_filter, tell_of_cans
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
 from diagrams.world.station import PickPlaceStation, can_body, controller_limits
 from diagrams.world.task import at_home
 from diagrams.world.trajectory import X_GRASP_CAN
-from diagrams.world.way_home import add_way_home
 from models.data.scaling import MinMaxScaling
 from systems.posture_history import PostureHistory
 from systems.regulated_mixer import RegulatedMixer
@@ -120,9 +119,11 @@ class ReturnLoop:
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say
             builder.Connect(history.GetOutputPort("posture"), mixer.GetInputPort(port))
         builder.Connect(alpha.get_output_port(), mixer.GetInputPort("alpha"))
-        ports = history.GetOutputPort("posture"), alpha.get_output_port(), mixer.GetOutputPort("desired_posture")
-        command = add_way_home(builder, world, self.station, *ports)
-        builder.Connect(command, self.station.GetInputPort("desired_posture"))
+        self._desired = mixer.GetOutputPort("desired_posture")
+        self._command = add_clearance_filter(
+            builder, world, self.station, history.GetOutputPort("posture"), alpha.get_output_port(), self._desired
+        )
+        builder.Connect(self._command, self.station.GetInputPort("desired_posture"))
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
 
@@ -147,21 +148,15 @@ class ReturnLoop:
                 if "non-finite" not in str(error):
                     raise
                 return Trajectory(np.array(rows), way.nearest, way.name, filtered, None, " ".join(str(error).split()))
-            filtered += self._filters(context)
+            filtered += not np.array_equal(self._value(context, self._command), self._value(context, self._desired))
             rows.append(port.Eval(local)[:ARM_JOINTS].copy())
             arrived += bool(at_home(rows[-1], home))
             if arrived > TICKS_AT_HOME:
                 break
         return Trajectory(np.array(rows), way.nearest, way.name, filtered, self._slip(context) if held else None)
 
-    def _filters(self, context: Context) -> bool:
-        """Whether the filter changes the command."""
-        if not self.diagram.HasSubsystemNamed("clearance_filter"):
-            return False
-        system = self.diagram.GetSubsystemByName("clearance_filter")
-        local = system.GetMyContextFromRoot(context)
-        desired, filtered = system.GetInputPort("desired_posture"), system.GetOutputPort("filtered_posture")
-        return not np.array_equal(filtered.Eval(local), desired.Eval(local))
+    def _value(self, context: Context, port: OutputPort) -> np.ndarray:
+        return port.Eval(port.get_system().GetMyContextFromRoot(context))
 
     def _begin(self, joints: np.ndarray, can_xy: np.ndarray, vacant: str, held: bool) -> Context:
         """The Context at the start of a run, in the simulator."""
@@ -182,10 +177,6 @@ class ReturnLoop:
         history = self.diagram.GetSubsystemByName("posture_history")
         start = np.append(joints, world.closed_opening if held else world.opening)
         history.GetMyMutableContextFromRoot(context).SetDiscreteState(0, start)
-        if self.diagram.HasSubsystemNamed("incremental_command"):  # before tick 0 it commands what it remembers + dm
-            mixer, incremental = map(self.diagram.GetSubsystemByName, ("regulated_mixer", "incremental_command"))
-            desired = mixer.GetOutputPort("desired_posture").Eval(mixer.GetMyContextFromRoot(context))[:ARM_JOINTS]
-            incremental.GetMyMutableContextFromRoot(context).SetDiscreteState(0, joints - (desired - joints))
         self.simulator.Initialize()
         return context
 

@@ -35,7 +35,7 @@ def add_way_home(
         lower, upper, speed = controller_limits(station)
         period = world.timing.period
         system = IncrementalCommand(
-            initial_posture=world.initial_posture, joints=ARM_JOINTS, lower=lower, upper=upper,
+            posture_size=len(lower), joints=ARM_JOINTS, lower=lower, upper=upper,
             max_step=speed[:ARM_JOINTS] * period, largest_offset=world.regulator.offset, period=period,
         )  # fmt: skip
         builder.AddNamedSystem("incremental_command", system)

@@ -184,7 +184,7 @@ CASES = {
     ),
     "IncrementalCommand": (
         lambda: IncrementalCommand(
-            initial_posture=np.zeros(M),
+            posture_size=M,
             joints=3,
             lower=-np.ones(M),
             upper=np.ones(M),

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diagrams.analysis import main, parse
 from diagrams.episodes.rollout import Rollout
-from diagrams.hybrid.return_loop import ReturnLoop
 from diagrams.world.configuration import Regulator
 from diagrams.world.names import ARM_JOINTS
 from diagrams.world.task import HOME_TOLERANCE
+from models.errors import InputError
 
 SECONDS = 14.0
 
@@ -67,12 +68,7 @@ def test_a_joint_that_is_read_off_its_angle_comes_home(world, incremental, encod
     assert nearest[1] < np.rad2deg(HOME_TOLERANCE)
 
 
-def test_from_rest_it_begins_where_the_arm_is(incremental, world):
-    """The loop of the certificate: no jump, home, and no later than without."""
-    start, can = world.initial_posture[:ARM_JOINTS] + 0.4, np.array([0.5, 0.0])
-    ways = [ReturnLoop(given).run(start, can, "left") for given in (incremental, world)]
-    steps = np.abs(np.diff(ways[0].rows, axis=0)).max(axis=1)
-    assert steps[0] < 0.06  # the regulator's first step is 0.04
-    assert ways[0].filtered == 0
-    arrivals = [way.arrival(world.initial_posture[:ARM_JOINTS]) for way in ways]
-    assert arrivals[0] <= arrivals[1]
+def test_the_certificate_is_not_of_it(tmp_path):
+    (tmp_path / "offset.yaml").write_text("{regulator: {offset: 0.1}}")
+    with pytest.raises(InputError, match=r"world.regulator.offset 0.1 rad: the certificate is of"):
+        main(parse(["return", "--world", str(tmp_path / "offset.yaml"), "--out", str(tmp_path / "out")]))

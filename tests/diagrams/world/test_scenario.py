@@ -86,7 +86,7 @@ def test_choices_are_checked(change, named):
         ("grid", {"corner": [1e308, 0.0]}, "world.grid.corner 1e[+]308 is too large: choose at most 10"),
         ("grid", {"spacing": 0.0}, "world.grid.spacing is 0.0"),
         ("regulator", {"offset": -0.1}, "world.regulator.offset -0.1 is too small: choose 0.0 or more"),
-        ("regulator", {"offset": 0.6}, "world.regulator.offset 0.6 is too large: choose at most 0.5"),
+        ("regulator", {"offset": 0.3}, "world.regulator.offset 0.3 is too large: choose at most 0.2"),
         ("grid", {"spacing": 1e308}, "world.grid.spacing 1e[+]308 is too large: choose at most 10"),
         ("grid", {"count": 1}, "world.grid.count is 1"),
         ("grid", {"count": 10**6}, "world.grid.count is 1000000; .* at most 100"),
