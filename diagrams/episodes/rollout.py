@@ -32,7 +32,7 @@ from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, other_spot
 from diagrams.world.requirement_watch import RequirementWatch
 from diagrams.world.station import PickPlaceStation
 from diagrams.world.task import TIME_LIMIT, TaskMonitor
-from diagrams.world.way_home import add_way_home
+from diagrams.world.way_home_wiring import add_way_home
 from models.errors import InputError
 from systems.detectors import DETECTORS
 from systems.dialled_detector import DialledDetector

@@ -18,8 +18,8 @@ def add_way_home(
     posture: OutputPort,
     alpha: OutputPort,
     command: OutputPort,
-    looks: bool = True,
-    regulated: bool = True,
+    looks: bool,
+    regulated: bool,
 ) -> OutputPort:
     """Puts incremental form and filter behind `command`; the port that the arm is to follow.
 
