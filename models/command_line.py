@@ -12,6 +12,8 @@ import select
 import signal
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -101,8 +103,20 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
             code = 128 + getattr(end, "number", signal.SIGINT)
             for worker in multiprocessing.active_children():
                 worker.kill()  # it is not waited for: what it does is not finished
+            _let_threads_end()
         code = _flush() or code
     sys.exit(code)
+
+
+def _let_threads_end() -> None:
+    """Waits a second at most for the threads that led the workers.
+
+    At its exit Python wakes them: one that is just closing what it is woken by would be a traceback there.
+    """
+    end = time.monotonic() + 1.0
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(max(end - time.monotonic(), 0.0))
 
 
 def _parsed(arguments: Callable[[], Any]) -> Any:

@@ -4,12 +4,13 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
 import torch
 
-from models import interrupts
+from models import command_line, interrupts
 from models.command_line import ROOT, run
 from models.errors import InputError
 from models.interrupts import Interrupted, held, leave_if_asked, listening
@@ -153,3 +154,16 @@ def test_a_library_that_takes_a_request_for_its_own_failure_does_not_hide_it(cap
         run(main, lambda: None)
     assert end.value.code == 128 + signal.SIGTERM
     assert capsys.readouterr().err == "interrupted: start it again\n"
+
+
+def test_threads_that_end_soon_are_waited_for_and_others_are_not():
+    soon, held_up = threading.Timer(0.2, lambda: None), threading.Event()
+    late = threading.Thread(target=held_up.wait)
+    for thread in (soon, late):
+        thread.start()
+    try:
+        command_line._let_threads_end()
+        assert (soon.is_alive(), late.is_alive()) == (False, True)
+    finally:
+        held_up.set()
+        late.join()
