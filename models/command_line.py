@@ -103,7 +103,8 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
             code = 128 + getattr(end, "number", signal.SIGINT)
             for worker in multiprocessing.active_children():
                 worker.kill()  # it is not waited for: what it does is not finished
-            _let_threads_end()
+            with suppress(KeyboardInterrupt):  # pressed again
+                _let_threads_end()
         code = _flush() or code
     sys.exit(code)
 

@@ -156,6 +156,29 @@ def test_a_library_that_takes_a_request_for_its_own_failure_does_not_hide_it(cap
     assert capsys.readouterr().err == "interrupted: start it again\n"
 
 
+def test_pressed_again_while_threads_end_it_is_one_line_still(tmp_path):
+    script = tmp_path / "program.py"
+    script.write_text(
+        "import threading, time\n"
+        "from models.command_line import run\n"
+        "def main(_):\n"
+        "    threading.Thread(target=time.sleep, args=(3.0,)).start()\n"
+        "    print('ready', flush=True)\n"
+        "    time.sleep(60.0)\n"
+        "run(main, lambda: None)\n"
+    )
+    program = subprocess.Popen(
+        [sys.executable, str(script)], env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert program.stdout.readline() == "ready\n"
+    program.send_signal(signal.SIGINT)
+    assert program.stderr.readline() == "interrupted: start it again\n"
+    program.send_signal(signal.SIGINT)
+    out, err = program.communicate(timeout=50)
+    assert (program.returncode, out, err) == (130, "", "")
+
+
 def test_threads_that_end_soon_are_waited_for_and_others_are_not():
     soon, held_up = threading.Timer(0.2, lambda: None), threading.Event()
     late = threading.Thread(target=held_up.wait)
