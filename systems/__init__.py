@@ -34,6 +34,7 @@ alarm_backoff          an alarm that comes again: what the next one must reach (
 alpha_mixer            Eq. 3: the RNN's step and the LQR's, mixed and clamped
 regulated_mixer        the two of them, as one Diagram
 clearance_filter       the way home that looks: the smallest change of a step that keeps the arm at a distance
+acceleration_limit     the way home speeds up evenly (discrete state)
 incremental_command    the way home adds to the last command, not to the measured posture (discrete state)
 disturbance            moves or stops the arm in an experiment (discrete state)
 manual_disturbance     a person's hand on the arm: holds or moves it, whenever a signal says so (discrete state)

@@ -12,7 +12,7 @@ from systems.detector import GUARD
 
 WITHIN = 0.15  # m: what is farther has no say in a step; a step that leads beyond is looked at piece by piece
 RESOLUTION = 0.01  # the proof of a step ends where it comes that near to the least distance, in parts of it
-PRESENT = 0.9
+PRESENT, OF_LESS = 0.9, 0.5
 MOST_PIECES = 50  # of one step's proof
 PROGRESS = 0.1  # dm' . dm of dm . dm, at least, by which margins are kept
 
@@ -40,7 +40,7 @@ class View(Protocol):
 class Map(Protocol):
     """What the arm knows of its surroundings."""
 
-    reach: np.ndarray  # (J,) m/rad: no point of the arm, or of what it holds, moves farther than sum_j reach_j |dq_j|
+    reach: np.ndarray  # (J,) m/rad, > 0: no point of arm, or of what it holds, moves farther than sum_j reach_j |dq_j|
     obstacle_size: int  # of what it must be told at every tick; 0: it knows all it needs
 
     def view(self, posture: np.ndarray, obstacles: np.ndarray, returning: bool = True) -> View:
@@ -67,15 +67,18 @@ class ClearanceFilter(LeafSystem):
     Outputs:
         filtered_posture: (M,) m_k + dm' with the dm' nearest to dm such that for every pair of bodies at the distance d
             within WITHIN, d + grad d . dm' - g >= (1 - rate) (d - g), g the gap and the pair's margin: a discrete
-            barrier function (Agrawal and Sreenath, RSS 2017). Where that dm' makes less than PROGRESS of the way along
-            dm, the margins are given up: they must not keep the arm from home. The other components pass.
+            barrier function (Agrawal and Sreenath, RSS 2017). Nearest is counted by how far a joint can move the
+            arm: the least sum_j (reach_j (dm'_j - dm_j))^2, so that the hand rather turns than the arm stops. Where
+            that dm' makes less than PROGRESS of the way along dm, in rad, the margins are given up: they must not
+            keep the arm from home. The other components pass.
         clearance: (1,) m, the smallest distance at m_k, at most WITHIN; computed only where it is pulled.
 
     Where no dm' does, since something pushes from the other side, the nearest one by which no pair within the gap comes
     nearer; where the solver fails, 0. The gradient sees a step's beginning only. So the straight line from m_k to the
     command is proven by conservative advancement: a distance d frees it for d / sum_j reach_j |dm'_j|; what cannot be
-    proven to stay `least` away, or PRESENT of the present distance where that is less, is cut off. Two bodies that
-    overlap already are pushed apart, and have no say in the proof. How near the arm itself comes, which follows the
+    proven to stay `least` away, or PRESENT of the present distance where that is less (OF_LESS where it is below
+    `least` already: else the proof is so many small pieces that the arm stands), is cut off. Two bodies that overlap
+    already are pushed apart, and have no say in the proof. How near the arm itself comes, which follows the
     command with a lag, is measured.
 
     Direct feedthrough, no state. No AutoDiff: the minimum is not differentiable where a pair begins to matter, and
@@ -103,7 +106,7 @@ class ClearanceFilter(LeafSystem):
             lower, upper: (M,) limits of the command.
             max_step: (J,) largest step of a tick, rad.
             gap: distance that the arm keeps, m.
-            least: distance that the straight line to each command is proven to keep, m.
+            least: distance that the straight line to each command is proven to keep, m; from nearer see the class.
             rate: share of the distance above `gap` by which a tick may come nearer, in (0, 1].
             learned_motion: filter the learned motion too.
         """
@@ -120,6 +123,10 @@ class ClearanceFilter(LeafSystem):
                 "such numbers."
             )
         self._map, self._learned_motion = map, bool(learned_motion)
+        reach = require_vector("map.reach", map.reach, joints, minimum=0.0)
+        if not reach.all():
+            raise ValueError(f"map.reach is {reach}; of each joint it must be greater than 0: pass such numbers.")
+        self._weight = np.diag((reach / reach.max()) ** 2)
         self._posture = self.DeclareVectorInputPort("posture", size)
         self._desired = self.DeclareVectorInputPort("desired_posture", size)
         self._alpha = self.DeclareVectorInputPort("alpha", 1)
@@ -167,7 +174,7 @@ class ClearanceFilter(LeafSystem):
                 return step
             program = MathematicalProgram()
             dm = program.NewContinuousVariables(self._joints)
-            program.AddQuadraticErrorCost(np.eye(self._joints), step, dm)
+            program.AddQuadraticErrorCost(self._weight, step, dm)
             program.AddBoundingBoxConstraint(lower, upper, dm)
             program.AddLinearConstraint(near.jacobians, least, np.full(len(least), np.inf), dm)
             result = ClarabelSolver().Solve(program)
@@ -180,7 +187,8 @@ class ClearanceFilter(LeafSystem):
         travel = float(self._map.reach @ np.abs(step))  # of the arm's fastest point
         overlapping = near.pairs[near.distances <= 0.0]
         nearest = near.distances[near.distances > 0.0].min(initial=WITHIN)
-        least, share = min(self._least, PRESENT * nearest), 0.0
+        kept = PRESENT if nearest >= self._least else OF_LESS
+        least, share = min(self._least, kept * nearest), 0.0
         for _ in range(MOST_PIECES):
             share += (nearest - least) / max(travel, 1e-12)
             if share >= 1.0:

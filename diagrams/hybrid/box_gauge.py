@@ -38,7 +38,8 @@ class BoxGauge:
     With the core 0 it is the gauge of the box -down <= d <= up about the initial posture; so V is 1 on its border, and
     0 where every joint is within the core. Its sublevel sets are boxes. Each joint goes home for itself, by -k d_j a
     tick and at most max_step_j: |d_j| shrinks by max(1 - k, 1 - max_step_j / |d_j|), and V at least by the largest of
-    these. So the ideal loop leaves no sublevel set.
+    these; in the first tick from rest by less, where AccelerationLimit cuts the step. So the ideal loop leaves no
+    sublevel set.
     """
 
     down: np.ndarray  # (7,) rad, > core: reach below the initial posture
@@ -77,7 +78,7 @@ class BoxGauge:
 
     @property
     def ideal_rate(self) -> float:
-        """V[k+1] <= rate V[k] in the ideal loop, on the whole box."""
+        """V[k+1] <= rate V[k] in the ideal loop, on the whole box, where AccelerationLimit cuts nothing."""
         return float(np.max(np.maximum(1.0 - self.gain, 1.0 - self.max_step / np.maximum(self.up, self.down))))
 
     def sample(self, rng: np.random.Generator) -> np.ndarray:

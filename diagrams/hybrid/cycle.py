@@ -298,7 +298,8 @@ def table(found: dict[str, Any]) -> str:
         lines.append(f"left out: {left_out} disturbed runs with a false switch before the disturbance")
     if not found["certificate_holds"]:
         lines.append(
-            "the certificate of `return` does not hold: its report says which way home fails or touches something"
+            "the certificate of `return` does not hold: its report says which way home fails, touches something, or is "
+            "slower than certified"
         )
     seconds = ", ".join(f"{kind} {entry['seconds']:.1f} s" for kind, entry in dwell["bounds"].items())
     stays = dwell["measured_s"]

@@ -1,13 +1,14 @@
 """A certificate for mode `return`: from which postures the LQR brings the arm home, how fast; and its test.
 
-In this mode the command is m + clamp(-K (m - m_0)) once a tick, and the servo follows with an error. K is a multiple of
-the identity, so the joints go home each for itself, and V, the gauge of the box of joint limits (see BoxGauge), falls
-in the ideal loop from every posture of that box, at a rate known in closed form. What the servo takes from it is
-measured on ways home of their own, with a safety factor, before any posture of the proof is simulated: for the postures
-in which a disturbance meets or leaves the arm, and for the whole box, where of the first tick from rest it is promised
-only that V does not rise. The proof are fresh postures on the full plant, a can in the hand in half of them, with the
-clearance filter that runs there: all ways must come home without coming near to anything; V and the certified times are
-judged on the ways that are the LQR's alone.
+In this mode the command is m + clamp(-K (m - m_0)) once a tick, the first steps from rest cut by AccelerationLimit, and
+the servo follows with an error. K is a multiple of the identity, so the joints go home each for itself, and V, the
+gauge of the box of joint limits (see BoxGauge), falls in the ideal loop from every posture of that box, once no step is
+cut at a rate known in closed form. What servo and cuts take from it is measured on ways home of their own, with a
+safety factor, before any posture of the proof is simulated: for the postures in which a disturbance meets or leaves the
+arm, and for the whole box, where of the first tick from rest it is promised only that V does not rise. The proof are
+fresh postures on the full plant, a can in the hand in half of them, with the clearance filter that runs there: all ways
+must come home without coming near to anything; V and the certified times are judged on the ways that are the LQR's
+alone.
 """
 
 from dataclasses import dataclass
@@ -99,7 +100,7 @@ def make_certificate(
         return Promise.measured(clear, ideal, at_home, apart)
 
     onsets, targets = drawn_samples(world, seeds, pool, store, "calibration")
-    drawn = measured(onsets + targets, 1.0 - gauge.gain, apart=False)  # no step of theirs is clamped
+    drawn = measured(onsets + targets, 1.0 - gauge.gain, apart=False)  # no step of theirs is clamped, few are cut
     box = measured(box_samples(world, gauge, samples, rng, border=True), gauge.ideal_rate, apart=True)
     return Certificate(gauge, at_home, {"box": box, "onsets": drawn, "targets": drawn})
 

@@ -11,12 +11,13 @@ from pydrake.systems.primitives import PassThrough
 
 from diagrams.episodes.store import of_plain
 from diagrams.episodes.way_home import WayHome
-from diagrams.world.clearance_map import add_clearance_filter, tell_of_cans
+from diagrams.world.clearance_map import tell_of_cans
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
 from diagrams.world.station import PickPlaceStation, can_body, controller_limits
 from diagrams.world.task import at_home
 from diagrams.world.trajectory import X_GRASP_CAN
+from diagrams.world.way_home_wiring import add_way_home
 from models.data.scaling import MinMaxScaling
 from systems.posture_history import PostureHistory
 from systems.regulated_mixer import RegulatedMixer
@@ -101,7 +102,10 @@ class Trajectory:
 
 
 class ReturnLoop:
-    """Station, PostureHistory, RegulatedMixer under alpha = 1 and the filter that `world.clearance` asks for."""
+    """Station, PostureHistory, RegulatedMixer under alpha = 1 and the way home behind it, as the world asks for it.
+
+    `world.regulator.offset` must be 0: here there is no tick before the first one of the way home.
+    """
 
     def __init__(self, world: World):
         self.world = world
@@ -119,10 +123,11 @@ class ReturnLoop:
         for port in ("posture", "predicted_posture"):  # under alpha = 1 the prediction has no say
             builder.Connect(history.GetOutputPort("posture"), mixer.GetInputPort(port))
         builder.Connect(alpha.get_output_port(), mixer.GetInputPort("alpha"))
-        self._desired = mixer.GetOutputPort("desired_posture")
-        self._command = add_clearance_filter(
-            builder, world, self.station, history.GetOutputPort("posture"), alpha.get_output_port(), self._desired
+        posture, desired = history.GetOutputPort("posture"), mixer.GetOutputPort("desired_posture")
+        self._command = add_way_home(
+            builder, world, self.station, posture, alpha.get_output_port(), desired, looks=True, regulated=True
         )
+        self._unfiltered = builder.GetSubsystemByName("acceleration_limit").get_output_port()
         builder.Connect(self._command, self.station.GetInputPort("desired_posture"))
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
@@ -148,7 +153,7 @@ class ReturnLoop:
                 if "non-finite" not in str(error):
                     raise
                 return Trajectory(np.array(rows), way.nearest, way.name, filtered, None, " ".join(str(error).split()))
-            filtered += not np.array_equal(self._value(context, self._command), self._value(context, self._desired))
+            filtered += not np.array_equal(self._value(context, self._command), self._value(context, self._unfiltered))
             rows.append(port.Eval(local)[:ARM_JOINTS].copy())
             arrived += bool(at_home(rows[-1], home))
             if arrived > TICKS_AT_HOME:
@@ -177,6 +182,8 @@ class ReturnLoop:
         history = self.diagram.GetSubsystemByName("posture_history")
         start = np.append(joints, world.closed_opening if held else world.opening)
         history.GetMyMutableContextFromRoot(context).SetDiscreteState(0, start)
+        limit = self.diagram.GetSubsystemByName("acceleration_limit")
+        limit.GetMyMutableContextFromRoot(context).SetDiscreteState(0, joints)
         self.simulator.Initialize()
         return context
 

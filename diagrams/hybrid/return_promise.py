@@ -33,9 +33,10 @@ class Promise:
     def measured(cls, values: Sequence[np.ndarray], ideal: float, at_home: float, apart: bool) -> Self:
         """The ideal rate plus SAFETY_FACTOR times the largest excess over it, as long as V is above `at_home`.
 
-        `values`: V at the ticks of each free way; `apart`: not of their first ticks, for which the promise is 1, that
-        V does not rise: where far joints start together their torques hold a near one back, by how much has a long
-        tail. Raises InputError where no way is free, and where nothing is left of the contraction.
+        `values`: V at the ticks of each free way; `apart`: not of their first ticks, for which the promise is 1, that V
+        does not rise: the steps are cut there, and where far joints start together their torques hold a near one back,
+        by how much has a long tail. Raises InputError where no way is free, and where nothing is left of the
+        contraction.
         """
         firsts, laters = zip(*(contractions(v, at_home) for v in values), strict=True) if values else ((), ())
         if not any(map(len, firsts)):

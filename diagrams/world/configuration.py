@@ -21,6 +21,7 @@ LARGEST_PICTURE = 2048  # pixels a side
 LARGEST_GRID = 100  # positions a side
 FARTHEST = 10.0  # m, of what is on the desk: no arm reaches so far
 WIDEST = 1.0  # m, between the fingers: no hand opens so far
+ACCELERATIONS = 1.0, 1e6  # rad/s^2: below, the arm hardly comes home; with the largest no step is cut
 LARGEST_OFFSET = 0.2  # rad, of a joint: larger ones fling the can, see systems/README.md
 CLEARANCE_CANS = ("possible", "known", "unseen")
 RESUMPTIONS = ("reset", "imagined")
@@ -90,10 +91,11 @@ class Grid:
 
 @dataclass
 class Regulator:
-    """Weights of the LQR on the posture integrator m[k+1] = m[k] + dm[k]; 1 and 90 give a gain of 0.1 a tick."""
+    """The LQR on the posture integrator m[k+1] = m[k] + dm[k], and its steps; 1 and 90 give a gain of 0.1 a tick."""
 
     state_weight: float = 1.0
     input_weight: float = 90.0
+    acceleration: float = 14.0  # rad/s^2: how fast the steps grow, see systems/acceleration_limit.py
     offset: float = 0.0  # rad, largest one in spite of which a joint comes home: see systems/incremental_command.py
 
 
@@ -158,6 +160,7 @@ class World:
             for place in self.grid.corner:
                 require_number("world.grid.corner", place, -FARTHEST, FARTHEST)
             require_number("world.grid.spacing", self.grid.spacing, SMALLEST, FARTHEST)
+            require_number("world.regulator.acceleration", self.regulator.acceleration, *ACCELERATIONS)
             require_number("world.regulator.offset", self.regulator.offset, 0.0, LARGEST_OFFSET)
             require_vector("world.initial_joints_deg", self.initial_joints_deg, ARM_JOINTS)
         except ValueError as error:

@@ -2,7 +2,7 @@
 
 
 class PlannedRecovery:
-    """What ships. The step is the LQR's, and the world's ClearanceFilter stands behind the mixer.
+    """What ships. The step is the LQR's; AccelerationLimit and the world's ClearanceFilter stand behind the mixer.
 
     It ends when alpha falls: at home the network starts anew, and what it recalls becomes an arm at rest there.
     """

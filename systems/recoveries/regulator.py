@@ -2,7 +2,7 @@
 
 
 class RegulatorRecovery:
-    """The step is the LQR's, with no filter behind it. It ends as that of PlannedRecovery."""
+    """The step is the LQR's, grown evenly by AccelerationLimit, with no filter. It ends as that of PlannedRecovery."""
 
     name = "regulator"
     looks = False

@@ -8,16 +8,17 @@ from systems.clearance_filter import ClearanceFilter, Near
 class Walls:
     """A Map for a point whose two joint angles are its coordinates (m); a wall is a normal and an offset.
 
-    The distance to it is normal . q - offset; `margin`: that each is to be kept beyond the gap.
+    The distance to it is normal . q - offset; `margin`: that each is to be kept beyond the gap; `reach`: what each
+    joint is said to move the point by at most, m/rad.
     """
 
     obstacle_size = 0
 
-    def __init__(self, *walls, margin=0.0):
+    def __init__(self, *walls, margin=0.0, reach=(1.0, 1.0)):
         self.margin = margin
         self.normals = np.array([wall[0] for wall in walls], float).reshape(-1, 2)
         self.offsets = np.array([wall[1] for wall in walls], float)
-        self.reach = np.ones(2)
+        self.reach = np.array(reach)
 
     def view(self, posture, obstacles, returning=True):
         return self

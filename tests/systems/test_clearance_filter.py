@@ -29,6 +29,13 @@ def test_barrier_by_hand():
     )
 
 
+def test_the_change_is_measured_by_how_far_the_joints_can_move_the_arm():
+    # Across the wall 0.027 of 0.1 are left. What is taken away is in the ratio of 0.6 / 2^2 to 0.8 / 1^2, not 0.6 to
+    # 0.8: the joint that moves the arm less gives way more.
+    walls = Walls(((-0.6, -0.8), -0.1), reach=(2.0, 1.0))
+    np.testing.assert_allclose(filtered(walls, [0.0, 0.0], [0.06, 0.08])[:2], [0.045, 0.0], atol=1e-6)
+
+
 def test_a_margin_is_kept_beyond_the_gap_and_the_proof_does_without():
     # 0.07 beyond gap and margin: 0.3 of that. The margin itself may be lost where a step is farther than what is seen.
     np.testing.assert_allclose(
@@ -115,6 +122,22 @@ def test_from_just_before_contact_it_comes_away(distance):
     assert 0.1 - posture[0] > 0.05
 
 
+def test_nearer_than_the_least_distance_it_does_not_stand_for_want_of_proof():
+    """4 mm before the wall, along it: a proof that keeps 0.9 of it gets a tenth of the way, of 2e-4 m a piece."""
+    got = filtered(Walls(AHEAD), [0.096, 0.0], [0.096, 0.2])
+    assert got[1] > 0.1
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(1e-4, 0.0049), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4))
+def test_property_nearer_than_the_least_distance_half_of_it_is_kept(distance, x, y):
+    walls, posture = Walls(((-1.0, 0.0), -distance)), np.zeros(2)
+    for _ in range(10):
+        before = distance - posture[0]
+        posture = filtered(walls, posture, np.clip(posture + [x, y], -1, 1))[:2]
+        assert distance - posture[0] >= min(LEAST, 0.5 * before) - 1e-9
+
+
 def test_the_limits_hold():
     # 0.3 of 0.31 m would be too fast; the wall pushes, the joint's limit does not give way.
     assert filtered(Walls(((-1.0, 0.0), 0.3)), [0.0, 0.0], [0.0, 0.0], max_step=np.full(2, 0.05))[0] == pytest.approx(
@@ -172,3 +195,8 @@ def test_property_a_post_that_curves_away_from_the_gradient_is_not_run_into(angl
 def test_error_names_value_limit_and_remedy(changes, message):
     with pytest.raises(ValueError, match=f"(?s){message}"):
         make_filter(Walls(AHEAD), **changes)
+
+
+def test_a_joint_without_reach_is_an_error():
+    with pytest.raises(ValueError, match=r"map.reach is \[1. 0.\]; of each joint it must be greater than 0"):
+        make_filter(Walls(AHEAD, reach=(1.0, 0.0)))

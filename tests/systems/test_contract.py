@@ -10,6 +10,7 @@ from pydrake.multibody.tree import BodyIndex
 
 import systems
 from models.networks.perceptron import random_layers, to_arrays
+from systems.acceleration_limit import AccelerationLimit
 from systems.alarm_backoff import AlarmBackoff
 from systems.alpha_mixer import AlphaMixer
 from systems.body_force import BodyForce
@@ -181,6 +182,10 @@ CASES = {
             for i in ("posture", "desired_posture", "alpha", "obstacles")
             for o in ("filtered_posture", "clearance")
         },
+    ),
+    "AccelerationLimit": (
+        lambda: AccelerationLimit(joints=3, initial_posture=np.zeros(M), acceleration=14.0, period=PERIOD),
+        {(i, "limited_posture") for i in ("posture", "desired_posture", "alpha")},
     ),
     "IncrementalCommand": (
         lambda: IncrementalCommand(

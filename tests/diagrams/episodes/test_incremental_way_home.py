@@ -29,13 +29,16 @@ def wires_into(rollout, *names):
     }
 
 
-def test_it_stands_before_the_filter_and_goes_on_from_what_that_made(incremental, encoder, policy):
+def test_it_stands_between_limit_and_filter_and_goes_on_from_what_that_made(incremental, encoder, policy):
     rollout = Rollout(incremental, encoder, policy)
-    assert wires_into(rollout, "incremental_command", "clearance_filter", "disturbance") == {
+    assert wires_into(rollout, "incremental_command", "acceleration_limit", "clearance_filter", "disturbance") == {
         "switched_controller.measured_posture -> incremental_command.posture",
-        "switched_controller.desired_posture -> incremental_command.desired_posture",
+        "acceleration_limit.limited_posture -> incremental_command.desired_posture",
         "switched_controller.alpha -> incremental_command.alpha",
         "clearance_filter.filtered_posture -> incremental_command.sent_posture",
+        "switched_controller.measured_posture -> acceleration_limit.posture",
+        "switched_controller.desired_posture -> acceleration_limit.desired_posture",
+        "switched_controller.alpha -> acceleration_limit.alpha",
         "switched_controller.measured_posture -> clearance_filter.posture",
         "incremental_command.incremental_posture -> clearance_filter.desired_posture",
         "switched_controller.alpha -> clearance_filter.alpha",
@@ -48,6 +51,7 @@ def test_it_stands_before_the_filter_and_goes_on_from_what_that_made(incremental
 def test_it_is_about_the_regulators_steps_alone(incremental, encoder, policy, recovery, there):
     diagram = Rollout(incremental, encoder, policy, recovery=recovery).diagram
     assert diagram.HasSubsystemNamed("incremental_command") is there
+    assert diagram.HasSubsystemNamed("acceleration_limit") is there
 
 
 def test_what_ships_has_none(rollout):

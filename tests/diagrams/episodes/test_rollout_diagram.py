@@ -21,7 +21,7 @@ CAN = (0.555, -0.041)
 
 def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
     names = {system.get_name() for system in rollout.diagram.GetSystems() if not isinstance(system, VectorLogSink)}
-    loop = {"station", "switched_controller", "clearance_filter", "disturbance", "can_mover"}
+    loop = {"station", "switched_controller", "acceleration_limit", "clearance_filter", "disturbance", "can_mover"}
     assert names == loop | {"requirements", "logged"}
     wires = {
         f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
@@ -33,7 +33,10 @@ def test_diagram_without_the_camera_of_the_scene_is_wired(rollout):
         "station.rgb_image -> switched_controller.rgb_image",
         "station.posture -> switched_controller.posture",
         "station.finger_gap -> switched_controller.finger_gaps",
-        "switched_controller.desired_posture -> clearance_filter.desired_posture",
+        "switched_controller.desired_posture -> acceleration_limit.desired_posture",
+        "switched_controller.measured_posture -> acceleration_limit.posture",
+        "switched_controller.alpha -> acceleration_limit.alpha",
+        "acceleration_limit.limited_posture -> clearance_filter.desired_posture",
         "switched_controller.measured_posture -> clearance_filter.posture",
         "switched_controller.alpha -> clearance_filter.alpha",
         "clearance_filter.filtered_posture -> disturbance.desired_posture",
