@@ -98,12 +98,12 @@ def run(main: Callable[[Any], int], arguments: Callable[[], Any]) -> NoReturn:
                 raise
             code = _bad_input(told)
         except KeyboardInterrupt as end:
-            kept = "; ".join(getattr(end, "__notes__", ())) or "start it again"
-            say(f"{interrupts.ENDED}: {kept}")
             code = 128 + getattr(end, "number", signal.SIGINT)
-            for worker in multiprocessing.active_children():
-                worker.kill()  # it is not waited for: what it does is not finished
-            with suppress(KeyboardInterrupt):  # pressed again
+            with suppress(KeyboardInterrupt):  # pressed again, from the line on
+                for worker in multiprocessing.active_children():
+                    worker.kill()  # it is not waited for: what it does is not finished
+                kept = "; ".join(getattr(end, "__notes__", ())) or "start it again"
+                say(f"{interrupts.ENDED}: {kept}")
                 _let_threads_end()
         code = _flush() or code
     sys.exit(code)
