@@ -2,8 +2,8 @@
 
 In this mode the command is m + clamp(-K (m - m_0)) once a tick, the first steps from rest cut by AccelerationLimit, and
 the servo follows with an error. K is a multiple of the identity, so the joints go home each for itself, and V, the
-gauge of the box of joint limits (see BoxGauge), falls in the ideal loop from every posture of that box, once no step is
-cut at a rate known in closed form. What servo and cuts take from it is measured on ways home of their own, with a
+gauge of the box of joint limits (see BoxGauge), falls in the ideal loop from every posture of that box; where no step
+is cut, at a rate known in closed form. What servo and cuts take from it is measured on ways home of their own, with a
 safety factor, before any posture of the proof is simulated: for the postures in which a disturbance meets or leaves the
 arm, and for the whole box, where of the first tick from rest it is promised only that V does not rise. The proof are
 fresh postures on the full plant, a can in the hand in half of them, with the clearance filter that runs there: all ways
