@@ -22,9 +22,10 @@ def save_defeat(found: dict[str, dict[str, Any]], path: Path) -> None:
             shown = [(level, share) for level, share in zip(levels, above, strict=True) if share > 0.0]
             climb.plot(*np.reshape(shown, (-1, 2)).T, color=COLOURS[kind], marker=".", lw=1, label=None if i else kind)
         if (brute := entry["report"]["brute"]) is not None:
-            low, high = brute["interval"]
-            at = 1.03 if kind == "A" else 1.06
-            climb.plot([at, at], [max(low, 1e-6), high], color=COLOURS[kind], lw=4, alpha=0.4, solid_capstyle="butt")
+            bars = [(max(part["level"], 0.0), part["brute"]) for part in entry["report"]["above"]]
+            for at, counted in [*bars, (1.03 if kind == "A" else 1.06, brute)]:
+                ends = np.maximum(counted["interval"], 1e-6)
+                climb.plot([at, at], ends, color=COLOURS[kind], lw=4, alpha=0.4, solid_capstyle="butt")
     climb.set(yscale="log", xlabel="severity (1: defeated)", ylabel="probability of more")
     climb.set_title("each line a repetition; bars: brute force", fontsize=9)
     climb.legend()

@@ -38,14 +38,15 @@ class BoxGauge:
     With the core 0 it is the gauge of the box -down <= d <= up about the initial posture; so V is 1 on its border, and
     0 where every joint is within the core. Its sublevel sets are boxes. Each joint goes home for itself, by -k d_j a
     tick and at most max_step_j: |d_j| shrinks by max(1 - k, 1 - max_step_j / |d_j|), and V at least by the largest of
-    these; in the first tick from rest by less, where AccelerationLimit cuts the step. So the ideal loop leaves no
-    sublevel set.
+    these; in the first tick from rest at most first_step_j stands for max_step_j, see `first_rate`. So the ideal loop
+    leaves no sublevel set.
     """
 
     down: np.ndarray  # (7,) rad, > core: reach below the initial posture
     up: np.ndarray  # (7,) rad, > core: above
     gain: float  # k, a tick
     max_step: np.ndarray  # (7,) rad a tick
+    first_step: np.ndarray  # (7,) rad, in the first tick from rest: what AccelerationLimit leaves of it
     core: float = CORE  # rad
 
     @classmethod
@@ -64,7 +65,10 @@ class BoxGauge:
                 f"world.initial_joints_deg {world.initial_joints_deg} is within {nearest:g} deg of a joint limit: "
                 "choose a posture farther from them"
             )
-        return cls(down, up, scalar_gain(K), speed * world.timing.period)
+        period = world.timing.period
+        max_step = speed * period
+        first_step = np.minimum(max_step, weights.acceleration * period**2)
+        return cls(down, up, scalar_gain(K), max_step, first_step)
 
     def value(self, deviation: np.ndarray) -> np.ndarray:
         """V of deviations (..., 7), rad: (...)."""
@@ -80,6 +84,13 @@ class BoxGauge:
     def ideal_rate(self) -> float:
         """V[k+1] <= rate V[k] in the ideal loop, on the whole box, where AccelerationLimit cuts nothing."""
         return float(np.max(np.maximum(1.0 - self.gain, 1.0 - self.max_step / np.maximum(self.up, self.down))))
+
+    def first_rate(self, deviation: np.ndarray) -> np.ndarray:
+        """V[1] <= rate V[0] in the ideal loop from rest at deviations (..., 7), rad: (...), 1 - k or more."""
+        step = np.clip(self.gain * deviation, -self.first_step, self.first_step)
+        value = self.value(deviation)
+        ratio = self.value(deviation - step) / np.where(value > 0.0, value, np.inf)
+        return np.maximum(1.0 - self.gain, ratio)
 
     def sample(self, rng: np.random.Generator) -> np.ndarray:
         """(7,) a deviation, rad, uniform in the box."""

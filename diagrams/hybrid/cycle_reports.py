@@ -38,7 +38,15 @@ WORD_OR_NONE = Kind("a word or nothing", lambda value: value is None or isinstan
 _SETS = {
     "*": {
         "all": dict.fromkeys(("failures", "left_box", "touches", "failed_or_touched"), COUNT),
-        "free": dict.fromkeys(("contraction_first_measured", "contraction_rate_measured", "max_v_increase"), NUMBER)
+        "free": dict.fromkeys(
+            (
+                "contraction_first_measured",
+                "contraction_first_over",
+                "contraction_rate_measured",
+                "max_v_increase",
+            ),
+            NUMBER,
+        )
         | {"samples": COUNT, "later_than_certified": COUNT},
         "contraction_first": POSITIVE, "contraction_rate": SHARE, "nearest_distance_m": NUMBER_OR_NONE,
         "v_tolerance": NUMBER,

@@ -35,6 +35,7 @@ from models.checks import Range
 from models.errors import InputError
 
 SCENE_MOVES, BLOCK_MOVES = 0.25, 0.5  # chances that a move changes the scene, and each other block
+COMPARED_AT = 1e-2  # probability of the level that is told beside brute force
 ALIKE = 3  # branched episodes that are run again from tick 0, a kind
 
 
@@ -90,7 +91,7 @@ class Defeat(NetworkArguments):
         for kind, entry in found.items():
             print(words(kind, entry["report"]))
         reports = [entry["report"] for entry in found.values()]
-        apart = any(entry["overlap"] is False for entry in reports)
+        apart = any(part["overlap"] is False for entry in reports for part in (entry, *entry["above"]))
         return 1 if apart or any(entry["same_bits"]["same"] < entry["same_bits"]["of"] for entry in reports) else 0
 
     def _of_kind(self, kind: str, world: World, cases: Cases, rnn: str) -> dict[str, Any]:
@@ -201,11 +202,7 @@ def report(
              "stages": [asdict(stage) for stage in run.stages]} for run in repetitions
         ],
         "levels": [stage.level for stage in runs[0].stages],
-        "above": [
-            {"level": stage.level} | of_repetitions(passed, smallest, drawn).plain()
-            for number, stage in enumerate(runs[0].stages)
-            if any(passed := [above_level(run, number) for run in repetitions])
-        ],  # the levels that some repetition passed
+        "above": _above(runs, drawn, brute),
         "by_failure": by_failure, "task": None if task is None else task.plain(),
         "brute": None, "overlap": None,
     }  # fmt: skip
@@ -219,6 +216,25 @@ def report(
         if task is not None:
             tasks = of_count(sum(map(_task_failed, brute)), len(brute))
             found["brute"]["task"], found["task"]["overlap"] = tasks.plain(), task.overlaps(tasks)
+    return found
+
+
+def _above(runs: Sequence[Splitting], drawn: int, brute: Sequence[Case]) -> list[dict[str, Any]]:
+    """How probable it is to come beyond each level of the pilot that some repetition passed; see `report`.
+
+    With brute force beside it, which sees levels where it sees no defeat.
+    """
+    found, smallest = [], [run.smallest for run in runs[1:]]
+    for number, level in enumerate(stage.level for stage in runs[0].stages):
+        passed = [above_level(run, number) for run in runs[1:]]
+        if not any(passed):
+            continue
+        by_splitting = of_repetitions(passed, smallest, drawn)
+        entry = {"level": level, **by_splitting.plain(), "brute": None, "overlap": None}
+        if brute:
+            counted = of_count(sum(case.level > level for case in brute), len(brute))
+            entry |= {"brute": counted.plain(), "overlap": by_splitting.overlaps(counted)}
+        found.append(entry)
     return found
 
 
@@ -257,6 +273,12 @@ def words(kind: str, found: dict[str, Any]) -> str:
     )
     if not found["defeats_found"] and found["above"]:
         text += f"; none was found, and beyond the level {found['above'][-1]['level']:.3f} are {of(found['above'][-1])}"
+    if compared := [entry for entry in found["above"] if entry["brute"] is not None]:
+        nearest = min(compared, key=lambda entry: abs(np.log(max(entry["brute"]["estimate"], 1e-9) / COMPARED_AT)))
+        text += (
+            f"; beyond the level {nearest['level']:.3f} {of(nearest)}, by brute force {of(nearest['brute'])}; "
+            f"intervals {'overlap' if nearest['overlap'] else 'are apart'}"
+        )
     for failure, entry in found["by_failure"].items():
         text += f"; {failure}: {of(entry)}"
     if found["brute"] is not None:

@@ -128,15 +128,17 @@ class Resume(NetworkArguments):
         return chosen, {"seen": len(done), "without": without}
 
     def _batches(self, job: Job, seeds: list[int], done: list[list["Row"]]) -> Iterator[list["SceneJob"]]:
-        """Scenes, some at a time, as long as a kind has too few starts in `done`."""
+        """Scenes, as many as a kind lacks starts in `done`: those that are run under both rules first."""
         begun, own = 0, job.world.resumption
         [other] = set(RESUMPTIONS) - {own}
         while begun < len(seeds):
             lacking = self.starts - min(counts(done, own))
             if lacking <= 0:
                 return
-            count = min(-(-lacking // STARTS_A_SCENE), 20, len(seeds) - begun)
-            rules = RESUMPTIONS if min(counts(done, other)) < min(self.compared, self.starts) else (own,)
+            compared = min(self.compared, self.starts) - min(counts(done, other))
+            rules = RESUMPTIONS if compared > 0 else (own,)
+            wanted = min(lacking, compared) if compared > 0 else lacking
+            count = min(-(-wanted // STARTS_A_SCENE), len(seeds) - begun)
             yield [SceneJob(replace(job, seed=seed), self.seed, rules) for seed in seeds[begun : begun + count]]
             begun += count
         raise InputError(

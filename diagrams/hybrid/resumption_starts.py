@@ -139,6 +139,8 @@ class Resumptions:
     ) -> tuple[int | None, bool | None]:
         """From `start`: ticks until the network has the arm, None beyond `limit`; and whether the subtask is done then.
 
+        `point`: of the episode that was looked at last.
+
         `reset`: whether the network starts anew at home. `finish`: ticks that the subtask has; 0: it is not run to its
         end, None, as without a resumption.
         """
@@ -185,9 +187,16 @@ class Resumptions:
         return monitor.success(cans, np.array(postures), gap)
 
     def _begin(self, point: SwitchingPoint, start: Start, reset: bool) -> None:
-        """Puts a clone of the switching point's Context, with the start's memory and posture, into the simulator."""
-        self.simulator.reset_context(point.context.Clone())
+        """Puts the switching point's state, with the start's memory and posture, into the simulator.
+
+        Its Context is that of the scene's episode still, and has the parameters: they hold the geometry too, so that to
+        clone a Context takes as long as 4 ticks.
+        """
         root = self.simulator.get_mutable_context()
+        root.SetTime(point.context.get_time())
+        mine, kept = root.get_mutable_state(), point.context.get_state()
+        mine.get_mutable_discrete_state().SetFrom(kept.get_discrete_state())
+        mine.get_mutable_abstract_state().SetFrom(kept.get_abstract_state())
         plant, station = self.rollout.station.plant, self.rollout.station
         local, grasp = plant.GetMyMutableContextFromRoot(root), plant.GetFrameByName("grasp")
         can = can_body(plant, CANS[0])
@@ -211,6 +220,7 @@ class Resumptions:
             self._network.GetMyMutableContextFromRoot(root), start.memory.hidden, start.memory.predicted,
             start.memory.recalled,
         )  # fmt: skip
-        if not reset:
-            self._home_reset.set_tolerance(self._home_reset.GetMyMutableContextFromRoot(root), -np.ones(ARM_JOINTS))
+        tolerance = self._home_reset.GetMyContextFromRoot(point.context).get_numeric_parameter(0).value()
+        home = self._home_reset.GetMyMutableContextFromRoot(root)
+        self._home_reset.set_tolerance(home, tolerance if reset else -np.ones(ARM_JOINTS))
         self.simulator.Initialize()

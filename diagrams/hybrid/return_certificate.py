@@ -2,13 +2,13 @@
 
 In this mode the command is m + clamp(-K (m - m_0)) once a tick, the first steps from rest cut by AccelerationLimit, and
 the servo follows with an error. K is a multiple of the identity, so the joints go home each for itself, and V, the
-gauge of the box of joint limits (see BoxGauge), falls in the ideal loop from every posture of that box; where no step
-is cut, at a rate known in closed form. What servo and cuts take from it is measured on ways home of their own, with a
-safety factor, before any posture of the proof is simulated: for the postures in which a disturbance meets or leaves the
-arm, and for the whole box, where of the first tick from rest it is promised only that V does not rise. The proof are
-fresh postures on the full plant, a can in the hand in half of them, with the clearance filter that runs there: all ways
-must come home without coming near to anything; V and the certified times are judged on the ways that are the LQR's
-alone.
+gauge of the box of joint limits (see BoxGauge), falls in the ideal loop from every posture of that box, at rates known
+in closed form; in the first tick by what the cut leaves. What the servo takes from it is measured on ways home of their
+own, with a safety factor, before any posture of the proof is simulated: for the postures in which a disturbance meets
+or leaves the arm, and for the whole box, where of the first tick from rest it is promised only that V does not rise.
+The proof are fresh postures on the full plant, a can in the hand in half of them, with the clearance filter that runs
+there: all ways must come home without coming near to anything; V and the certified times are judged on the ways that
+are the LQR's alone.
 """
 
 from dataclasses import dataclass
@@ -96,11 +96,12 @@ def make_certificate(
 
     def measured(chosen: list[Sample], ideal: float, apart: bool) -> Promise:
         ways = trajectories_home(world, chosen, pool, store, "calibration")
-        clear = [gauge.value(w.rows - home) for w in ways if w.free]
-        return Promise.measured(clear, ideal, at_home, apart)
+        free = [way.rows - home for way in ways if way.free]
+        first = [float(gauge.first_rate(rows[0])) for rows in free]
+        return Promise.measured([gauge.value(rows) for rows in free], first, ideal, at_home, apart)
 
     onsets, targets = drawn_samples(world, seeds, pool, store, "calibration")
-    drawn = measured(onsets + targets, 1.0 - gauge.gain, apart=False)  # no step of theirs is clamped, few are cut
+    drawn = measured(onsets + targets, 1.0 - gauge.gain, apart=False)  # the speed clamps no step of theirs
     box = measured(box_samples(world, gauge, samples, rng, border=True), gauge.ideal_rate, apart=True)
     return Certificate(gauge, at_home, {"box": box, "onsets": drawn, "targets": drawn})
 
@@ -130,8 +131,13 @@ def certify(
     }
     values = {kind: [gauge.value(way.rows - home) for way in ways[kind]] for kind in KINDS}
     promises, at_home = certificate.promises, certificate.at_home
+    ideal = {
+        kind: gauge.first_rate(np.array([s.joints for s in inside[kind]]).reshape(-1, ARM_JOINTS) - home)
+        for kind in KINDS
+    }
     sets = {
-        kind: judge(inside[kind], ways[kind], values[kind], promises[kind], at_home, home, period) for kind in KINDS
+        kind: judge(inside[kind], ways[kind], values[kind], promises[kind], ideal[kind], at_home, home, period)
+        for kind in KINDS
     }
     outside, failed = of_draws([levels[kind] for kind in DRAWN], [ways[kind] for kind in DRAWN], home)
     report = {
@@ -154,7 +160,7 @@ def certify(
     clear = {kind: [v for v, w in zip(values[kind], ways[kind], strict=True) if w.free] for kind in KINDS}
     picture = {
         "values": clear, "levels": levels, "at_home": at_home, "period": period,
-        "promises": {kind: promise.bound(200) for kind, promise in promises.items()},
+        "promises": {kind: promises[kind].bound(200, sets[kind]["contraction_first"]) for kind in KINDS},
     }  # fmt: skip
     return report, picture
 
@@ -176,8 +182,10 @@ def words(found: dict[str, Any]) -> str:
             alone = (
                 f"of the {free['samples']} that are the LQR's alone {free['later_than_certified']} come later than "
                 f"certified ({found_here['time_home_certified_s']:.1f} s); V falls to "
-                f"{free['contraction_first_measured']:.4f} of itself at most in the first tick (certified "
-                f"{found_here['contraction_first']:.4f}), then to "
+                f"{free['contraction_first_measured']:.4f} of itself at most in the first tick (certified, of the "
+                f"farthest, {found_here['contraction_first']:.4f}; of its own promise one is "
+                f"{abs(free['contraction_first_over']):.4f} "
+                f"{'short' if free['contraction_first_over'] > 0 else 'off'}), then to "
                 f"{free['contraction_rate_measured']:.4f} a tick (certified {found_here['contraction_rate']:.4f})"
             )
         lines.append(

@@ -23,20 +23,26 @@ def contractions(values: np.ndarray, at_home: float) -> tuple[np.ndarray, np.nda
 
 @dataclass(frozen=True)
 class Promise:
-    """How V falls from the postures of one set: by the factor `first` in the first tick, then by `later`, at least."""
+    """How V falls from the postures of one set, at least: see `first`, and by the factor `later` in each tick after."""
 
-    first: float
+    excess: float  # over the ideal rates
     later: float
+    apart: bool  # nothing is known of the first tick but that V does not rise
     calibrated: int  # free ways that it was measured on
 
     @classmethod
-    def measured(cls, values: Sequence[np.ndarray], ideal: float, at_home: float, apart: bool) -> Self:
-        """The ideal rate plus SAFETY_FACTOR times the largest excess over it, as long as V is above `at_home`.
+    def measured(
+        cls, values: Sequence[np.ndarray], ideal_first: Sequence[float], ideal: float, at_home: float, apart: bool
+    ) -> Self:
+        """The ideal rates plus SAFETY_FACTOR times the largest excess over them, as long as V is above `at_home`.
 
-        `values`: V at the ticks of each free way; `apart`: not of their first ticks, for which the promise is 1, that V
-        does not rise: the steps are cut there, and where far joints start together their torques hold a near one back,
-        by how much has a long tail. Raises InputError where no way is free, and where nothing is left of the
-        contraction.
+        Args:
+            values: V at the ticks of each free way.
+            ideal_first: of each of these, of its first tick; `ideal`: of all the others.
+            apart: not of the first ticks, for which the promise is 1, that V does not rise: where far joints start
+                together their torques hold a near one back, by how much has a long tail.
+
+        Raises InputError where no way is free, and where nothing is left of the contraction.
         """
         firsts, laters = zip(*(contractions(v, at_home) for v in values), strict=True) if values else ((), ())
         if not any(map(len, firsts)):
@@ -45,22 +51,26 @@ class Promise:
                 "raise --samples and --draws"
             )
 
-        def rate(parts: Sequence[np.ndarray]) -> float:
-            largest = max(float(np.max(r, initial=0.0)) for r in parts)
-            return ideal + SAFETY_FACTOR * max(largest - ideal, 0.0)
-
-        later = rate(laters) if apart else max(rate(firsts), rate(laters))
+        over = [float(np.max(rates, initial=0.0)) - ideal for rates in laters]
+        if not apart:
+            over += [float(np.max(r, initial=0.0)) - known for r, known in zip(firsts, ideal_first, strict=True)]
+        excess = SAFETY_FACTOR * max(0.0, *over)
+        later = ideal + excess
         if later >= 1.0:
             raise InputError(
                 f"the servo follows so badly that V would fall to {later:.3f} of itself a tick only: choose stiffer "
                 "world.servo gains, or a larger world.regulator.input_weight"
             )
-        return cls(1.0 if apart else later, later, len(values))
+        return cls(excess, later, apart, len(values))
 
-    def bound(self, ticks: int) -> np.ndarray:
-        """(ticks + 1,) V at most after each tick, from 1."""
-        return np.append(1.0, self.first * self.later ** np.arange(ticks))
+    def first(self, ideal: np.ndarray) -> np.ndarray:
+        """(n,) the factor of the first tick at most, from postures with these `ideal` ones (n,)."""
+        return np.ones(len(ideal)) if self.apart else np.minimum(ideal + self.excess, 1.0)
 
-    def ticks_home(self, at_home: float) -> int:
-        """After which V is at most `at_home`, from 1."""
-        return 1 + max(0, int(np.ceil(np.log(at_home / self.first) / np.log(self.later))))
+    def bound(self, ticks: int, first: float) -> np.ndarray:
+        """(ticks + 1,) V at most after each tick, from 1, with that factor in the first."""
+        return np.append(1.0, first * self.later ** np.arange(ticks))
+
+    def ticks_home(self, at_home: float, first: float) -> int:
+        """After which V is at most `at_home`, from 1, with that factor in the first."""
+        return 1 + max(0, int(np.ceil(np.log(at_home / first) / np.log(self.later))))

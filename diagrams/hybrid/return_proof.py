@@ -32,6 +32,7 @@ def judge(
     ways: Sequence[Trajectory],
     values: Sequence[np.ndarray],
     promise: Promise,
+    ideal_first: np.ndarray,
     at_home: float,
     home: np.ndarray,
     period: float,
@@ -41,7 +42,8 @@ def judge(
     Args:
         samples, ways: the postures, and what came of them.
         values: V at the ticks of each.
-        promise: that is judged; at_home: level of V within which every joint is at home.
+        promise: that is judged; ideal_first: (n,) of each way, see BoxGauge.first_rate.
+        at_home: level of V within which every joint is at home.
         home: (7,) initial posture, rad; period: of the ticks, s.
     """
     free = np.array([way.free for way in ways], bool)
@@ -50,12 +52,15 @@ def judge(
     touched = np.array([way.touches for way in ways], bool)
     near = np.array([way.nearest is not None and way.nearest < LEAST_DISTANCE for way in ways], bool)
     arrivals = np.array([way.arrival(home) for way in ways], int)
-    certified = promise.ticks_home(at_home)
+    first = promise.first(ideal_first)
+    slowest = float(np.max(first, initial=promise.later))
+    certified = promise.ticks_home(at_home, slowest)
     found = arrivals[arrivals >= 0]
 
     def counts(chosen: np.ndarray) -> dict[str, Any]:
         when, v = arrivals[chosen], [x for x, take in zip(values, chosen, strict=True) if take]
         n, rates = len(when), [[float(np.max(part, initial=0.0)) for part in contractions(x, at_home)] for x in v]
+        over = [rate - promised for (rate, _), promised in zip(rates, first[chosen].tolist(), strict=True)]
         counted = {
             "failures": int(np.sum(when < 0)),
             "left_box": sum(bool(x.max() > 1.0 + V_TOLERANCE * at_home) for x in v),
@@ -68,14 +73,15 @@ def judge(
             "samples": n,
             **counted,
             "bounds": {name: bound(count, n) for name, count in counted.items()},
-            "contraction_first_measured": max((first for first, _ in rates), default=0.0),
+            "contraction_first_measured": max((rate for rate, _ in rates), default=0.0),
+            "contraction_first_over": max(over, default=-1.0),  # what is promised of that way; below 0: it is kept
             "contraction_rate_measured": max((later for _, later in rates), default=0.0),
             "max_v_increase": float(max((np.max(np.diff(x), initial=-1.0) for x in v), default=-1.0)),
         }
 
     by_name = Counter(str(way.name) for way in ways if way.touches)
     return {
-        "contraction_first": promise.first,
+        "contraction_first": slowest,
         "contraction_rate": promise.later,
         "calibrated_on": promise.calibrated,
         "time_home_certified_s": certified * period,
@@ -146,7 +152,7 @@ def holds(report: dict[str, Any], least: float = LEAST_DISTANCE) -> bool:
         and found["free"]["samples"] > 0
         and found["free"]["later_than_certified"] == 0
         and found["free"]["max_v_increase"] <= found["v_tolerance"]
-        and found["free"]["contraction_first_measured"] <= found["contraction_first"]
+        and found["free"]["contraction_first_over"] <= 0.0
         and found["free"]["contraction_rate_measured"] <= found["contraction_rate"]
         for found in report["sets"].values()
     )

@@ -107,7 +107,8 @@ def test_defeat(drawn):
         stages = [{"level": 0.4, "share": 0.3}, {"level": 0.7, "share": 0.3}]
         runs = [{"estimate": 0.01, "stages": stages}, {"estimate": 0.0, "stages": stages}]
         cases = [case(kind, 1.0, 2, 20, 60.0), case(kind, 0.5, 1, 15, 40.0), case(kind, 1.0, 2, 25, 70.0)]
-        return {"report": {"repetitions": runs, "brute": brute}, "cases": cases}
+        above = [{"level": 0.4, "brute": brute and {"interval": [0.2, 0.4]}}]
+        return {"report": {"repetitions": runs, "brute": brute, "above": above}, "cases": cases}
 
     found = {"A": entry("A", None), "B": entry("B", {"interval": [0.0, 0.05]})}
     words, (climb, moves, stops) = drawn(defeat, "save_defeat", found)
@@ -115,5 +116,10 @@ def test_defeat(drawn):
         assert f"<!-- {word} -->" in words
     assert climb.lines[0].get_xydata() == pytest.approx(np.array([[0.4, 0.3], [0.7, 0.09], [1.0, 0.01]]))
     assert len(climb.lines[1].get_xydata()) == 2  # an extinct one ends where it ended
+    bars = [line.get_xydata() for line in climb.lines[4:]]  # of brute force, beyond a level and of a defeat
+    assert bars == [
+        pytest.approx(np.array([[0.4, 0.2], [0.4, 0.4]])),
+        pytest.approx(np.array([[1.06, 1e-6], [1.06, 0.05]])),
+    ]
     assert moves.lines[-1].get_xydata() == pytest.approx(np.array([[9.0, 60.0], [10.0, 70.0]]))
     assert stops.lines[-1].get_ydata() == pytest.approx([20.0, 25.0])

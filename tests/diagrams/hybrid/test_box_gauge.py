@@ -14,7 +14,7 @@ from models.errors import InputError
 # Joint 1 reaches farther than its step allows; joint 4 is near its upper limit.
 GAUGE = BoxGauge(
     down=np.array([3.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0]), up=np.array([2.0, 1.0, 2.0, 0.5, 2.0, 0.4, 2.0]),
-    gain=0.1, max_step=np.array([0.24, 0.2, 0.3, 0.3, 0.3, 0.3, 0.3]), core=0.0,
+    gain=0.1, max_step=np.array([0.24, 0.2, 0.3, 0.3, 0.3, 0.3, 0.3]), first_step=np.full(7, 0.15), core=0.0,
 )  # fmt: skip
 DEVIATIONS = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(
     lambda shares: np.where(np.array(shares) > 0, np.array(shares) * GAUGE.up, np.array(shares) * GAUGE.down)
@@ -48,6 +48,25 @@ def test_the_core_counts_as_home():
     assert gauge.value(deviation(j4=0.3)) == pytest.approx(0.2 / 0.4)
     assert gauge.value(np.array([gauge.up, -gauge.down])) == pytest.approx([1.0, 1.0])
     assert gauge.level_within(0.39) == pytest.approx(0.1)
+
+
+def test_first_rates_by_hand():
+    # Cut, joint 1 goes 0.15 of 3 rad, joint 3 the same of 2 rad; not cut, a tenth.
+    assert GAUGE.first_rate(deviation(j1=-3.0)) == pytest.approx(0.95)
+    assert GAUGE.first_rate(deviation(j3=2.0)) == pytest.approx(0.925)
+    assert GAUGE.first_rate(deviation(j4=0.5)) == pytest.approx(0.9)
+    # Joint 4 is farthest by its reach, of which joint 3's slow start takes nothing; then it is joint 3.
+    assert GAUGE.first_rate(deviation(j3=1.8, j4=0.5)) == pytest.approx(0.9)
+    assert GAUGE.first_rate(deviation(j3=1.99, j4=0.5)) == pytest.approx(0.92)
+    assert GAUGE.first_rate(np.zeros((2, 7))) == pytest.approx([0.9, 0.9])
+    core = replace(GAUGE, core=0.1)  # what is left falls by more than a tenth: no less than that is promised
+    assert core.first_rate(deviation(j4=0.3)) == pytest.approx(0.9)
+
+
+@given(DEVIATIONS)
+def test_the_first_step_from_rest_keeps_its_rate(d):
+    step = np.clip(-GAUGE.gain * d, -GAUGE.first_step, GAUGE.first_step)
+    assert GAUGE.value(d + step) <= GAUGE.first_rate(d) * GAUGE.value(d) + 1e-12
 
 
 def test_rates_by_hand():

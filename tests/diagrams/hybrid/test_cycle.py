@@ -15,7 +15,7 @@ from models.errors import InputError
 
 PROVEN = {"samples": 50, "failed_or_touched": 0, "failures": 0, "left_box": 0, "touches": 0}
 LQR_ALONE = {"samples": 40, "later_than_certified": 0, "max_v_increase": 0.0, "contraction_first_measured": 0.9,
-             "contraction_rate_measured": 0.9}  # fmt: skip
+             "contraction_first_over": -0.1, "contraction_rate_measured": 0.9}  # fmt: skip
 RETURNED = {
     "seed": 0,
     "fingerprint": {"code": "1", "drake": "1.51", "world.resumption": "reset"},

@@ -53,12 +53,19 @@ def test_report_by_hand():
     assert found["brute"]["estimate"] == 0.01
     assert (found["overlap"], found["brute"]["task"]["estimate"]) == (True, 0.01)
     assert len(found["repetitions"]) == 2
+    [above] = found["above"]  # the level 0.5, which 0.3 of each repetition and one case of brute force pass
+    assert (above["level"], above["estimate"], above["brute"]["estimate"]) == (0.5, pytest.approx(0.3), 0.01)
+    assert above["overlap"] is False
     assert defeat.report(runs, [cases] * 3, [LOST], [LOST] * 50, 4)["overlap"] is False
-    assert defeat.report(runs, [cases] * 3, [LOST], [], 4)["overlap"] is None
+    alone = defeat.report(runs, [cases] * 3, [LOST], [], 4)
+    assert (alone["overlap"], alone["above"][0]["brute"], alone["above"][0]["overlap"]) == (None, None, None)
+    assert "brute" not in defeat.words("B", alone)
     text = defeat.words("B", found)
     assert "2.00e-02" in text
     assert "25% of their ticks saved" in text
-    assert "overlap" in text
+    assert "intervals overlap" in text
+    assert "beyond the level 0.500 3.00e-01 [3.00e-01, 3.00e-01], by brute force 1.00e-02" in text
+    assert "intervals are apart" in text
     json.dumps(found)
 
 

@@ -10,7 +10,7 @@ from diagrams.hybrid.return_samples import Sample
 
 HOME = np.zeros(7)
 AT_HOME = 0.01
-PROMISE = Promise(0.5, 0.5, 3)  # home after 7 ticks
+PROMISE = Promise(0.0, 0.5, False, 3)  # home after 7 ticks
 
 
 def way(ticks, touches=None, slip=None, to=0.0, filtered=0):
@@ -22,8 +22,8 @@ def way(ticks, touches=None, slip=None, to=0.0, filtered=0):
     ), values  # fmt: skip
 
 
-def report(*ways):
-    return judge(*zip(*ways, strict=True), PROMISE, AT_HOME, HOME, 0.1)
+def report(*ways, first=0.5):
+    return judge(*zip(*ways, strict=True), PROMISE, np.full(len(ways), first), AT_HOME, HOME, 0.1)
 
 
 def test_bounds_by_hand():
@@ -71,7 +71,7 @@ def test_ways_are_counted():
 @pytest.mark.parametrize(
     "broken",
     [
-        {"later_than_certified": 1}, {"max_v_increase": 1e-4}, {"contraction_first_measured": 0.51},
+        {"later_than_certified": 1}, {"max_v_increase": 1e-4}, {"contraction_first_over": 0.01},
         {"contraction_rate_measured": 0.51},
     ],
 )  # fmt: skip
@@ -87,6 +87,16 @@ def test_a_way_that_the_filter_changed_must_come_home_too(broken):
     assert holds({"sets": {"box": found}})
     assert not holds({"sets": {"box": found | {"all": found["all"] | broken}}})
     assert not holds({"sets": {"box": found | {"nearest_distance_m": 0.0049}}})
+
+
+def test_each_way_is_judged_by_its_own_first_tick():
+    """V of both is halved. One was promised 0.5, and keeps it; of the other 0.45 is known, and 0.05 allowed."""
+    found = judge(*zip(way(6), way(6), strict=True), Promise(0.05, 0.5, False, 3), np.array([0.5, 0.44]), AT_HOME, HOME,
+                  0.1)  # fmt: skip
+    assert (found["contraction_first"], found["free"]["contraction_first_measured"]) == (pytest.approx(0.55), 0.5)
+    assert found["free"]["contraction_first_over"] == pytest.approx(0.01)
+    assert not holds({"sets": {"onsets": found}})
+    assert report(way(6), first=0.7)["time_home_certified_s"] == pytest.approx(0.8)
 
 
 def test_leaving_the_box_is_seen():
