@@ -38,8 +38,8 @@ class BoxGauge:
     With the core 0 it is the gauge of the box -down <= d <= up about the initial posture; so V is 1 on its border, and
     0 where every joint is within the core. Its sublevel sets are boxes. Each joint goes home for itself, by -k d_j a
     tick and at most max_step_j: |d_j| shrinks by max(1 - k, 1 - max_step_j / |d_j|), and V at least by the largest of
-    these; in the first tick from rest at most first_step_j stands for max_step_j, see `first_rate`. So the ideal loop
-    leaves no sublevel set.
+    these; in the first tick from rest with first_step_j in the place of max_step_j, see `first_rate`. So the ideal
+    loop leaves no sublevel set.
     """
 
     down: np.ndarray  # (7,) rad, > core: reach below the initial posture
@@ -84,6 +84,12 @@ class BoxGauge:
     def ideal_rate(self) -> float:
         """V[k+1] <= rate V[k] in the ideal loop, on the whole box, where AccelerationLimit cuts nothing."""
         return float(np.max(np.maximum(1.0 - self.gain, 1.0 - self.max_step / np.maximum(self.up, self.down))))
+
+    @property
+    def farthest_first_rate(self) -> float:
+        """`first_rate` from anywhere in the box, at most."""
+        reach = np.maximum(self.up, self.down)
+        return float(np.max(np.maximum(1.0 - self.gain, 1.0 - self.first_step / reach)))
 
     def first_rate(self, deviation: np.ndarray) -> np.ndarray:
         """V[1] <= rate V[0] in the ideal loop from rest at deviations (..., 7), rad: (...), 1 - k or more."""

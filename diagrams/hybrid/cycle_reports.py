@@ -49,6 +49,7 @@ _SETS = {
         )
         | {"samples": COUNT, "later_than_certified": COUNT},
         "contraction_first": POSITIVE, "contraction_rate": SHARE, "nearest_distance_m": NUMBER_OR_NONE,
+        "nearest_foot_m": NUMBER_OR_NONE,
         "v_tolerance": NUMBER,
     }
 }  # fmt: skip

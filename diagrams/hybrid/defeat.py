@@ -71,7 +71,10 @@ class Defeat(NetworkArguments):
             episode_seeds("defeat", self.seed, self.brute)
 
     def run(self) -> int:
-        """Estimates; returns 0 if none contradicts brute force, and a clone goes on as the whole episode, else 1."""
+        """Estimates; returns 0 if a clone goes on as the whole episode, and brute force contradicts nothing, else 1.
+
+        It is asked twice a kind: of a defeat, and of one level, see `compared`.
+        """
         from diagrams.drawing.defeat import save_defeat
 
         world, (encoder, policy, gamma) = self.loaded_world(), self.calibrated()
@@ -91,7 +94,7 @@ class Defeat(NetworkArguments):
         for kind, entry in found.items():
             print(words(kind, entry["report"]))
         reports = [entry["report"] for entry in found.values()]
-        apart = any(part["overlap"] is False for entry in reports for part in (entry, *entry["above"]))
+        apart = any(part["overlap"] is False for entry in reports for part in (entry, compared(entry) or entry))
         return 1 if apart or any(entry["same_bits"]["same"] < entry["same_bits"]["of"] for entry in reports) else 0
 
     def _of_kind(self, kind: str, world: World, cases: Cases, rnn: str) -> dict[str, Any]:
@@ -110,7 +113,7 @@ class Defeat(NetworkArguments):
         everything = {repr(case.episode): case for case in (*distinct, *by_brute)}.values()
         defeats = [case for case in everything if case.level >= DEFEATED]
         branched = [case for case in distinct if case.saved]
-        result = report(runs, seen, distinct, by_brute, self.population) | {
+        result = report(runs, seen, distinct, by_brute, self.population, self.moves) | {
             "same_bits": {"of": len(branched[:ALIKE]), "same": sum(cases.again(case) for case in branched[:ALIKE])},
             "counterexamples": [plain(case) for case in defeats],
             **clusters(defeats, drawn),
@@ -174,12 +177,13 @@ def report(
     distinct: Sequence[Case],
     brute: Sequence[Case],
     population: int,
+    moves: int,
 ) -> dict[str, Any]:
     """Plain types: the estimates of defeats and of failed tasks, and what they cost.
 
     Of failed tasks None where the runs end before. `runs`: the pilot first, which only the costs count; `seen`: of each
     run the case of each evaluation; `distinct`: each of them once; `brute`: of brute force;
-    `population`: episodes with which each run began.
+    `population`: episodes with which each run began; `moves`: of each, a stage.
     """
     repetitions, smallest = runs[1:], [run.smallest for run in runs[1:]]
     drawn = sum(case is not None for cases in seen[1:] for case in cases[:population])
@@ -202,7 +206,7 @@ def report(
              "stages": [asdict(stage) for stage in run.stages]} for run in repetitions
         ],
         "levels": [stage.level for stage in runs[0].stages],
-        "above": _above(runs, drawn, brute),
+        "above": _above(runs, population, moves, brute),
         "by_failure": by_failure, "task": None if task is None else task.plain(),
         "brute": None, "overlap": None,
     }  # fmt: skip
@@ -219,23 +223,33 @@ def report(
     return found
 
 
-def _above(runs: Sequence[Splitting], drawn: int, brute: Sequence[Case]) -> list[dict[str, Any]]:
+def _above(runs: Sequence[Splitting], population: int, moves: int, brute: Sequence[Case]) -> list[dict[str, Any]]:
     """How probable it is to come beyond each level of the pilot that some repetition passed; see `report`.
 
-    With brute force beside it, which sees levels where it sees no defeat.
+    With what it took, the pilot included, and brute force beside it, which sees levels where it sees no defeat.
     """
-    found, smallest = [], [run.smallest for run in runs[1:]]
+    found, repetitions = [], runs[1:]
+    drawn, smallest = population * len(repetitions), [run.smallest for run in repetitions]
     for number, level in enumerate(stage.level for stage in runs[0].stages):
-        passed = [above_level(run, number) for run in runs[1:]]
+        passed = [above_level(run, number) for run in repetitions]
         if not any(passed):
             continue
-        by_splitting = of_repetitions(passed, smallest, drawn)
-        entry = {"level": level, **by_splitting.plain(), "brute": None, "overlap": None}
+        # Of the first level all points are independent, and their law is known.
+        count = round(population * sum(passed))
+        by_splitting = of_repetitions(passed, smallest, drawn) if number else of_count(count, drawn)
+        evaluations = len(runs) * population * (1 + moves * number)
+        entry = {"level": level, "evaluations": evaluations, **by_splitting.plain(), "brute": None, "overlap": None}
         if brute:
             counted = of_count(sum(case.level > level for case in brute), len(brute))
             entry |= {"brute": counted.plain(), "overlap": by_splitting.overlaps(counted)}
         found.append(entry)
     return found
+
+
+def compared(found: dict[str, Any]) -> dict[str, Any] | None:
+    """The level at which splitting is compared with brute force: whose probability by splitting is nearest to 1e-2."""
+    entries = [entry for entry in found["above"] if entry["brute"] is not None]
+    return min(entries, key=lambda entry: abs(np.log(entry["estimate"] / COMPARED_AT)), default=None)
 
 
 def _shares(
@@ -273,11 +287,10 @@ def words(kind: str, found: dict[str, Any]) -> str:
     )
     if not found["defeats_found"] and found["above"]:
         text += f"; none was found, and beyond the level {found['above'][-1]['level']:.3f} are {of(found['above'][-1])}"
-    if compared := [entry for entry in found["above"] if entry["brute"] is not None]:
-        nearest = min(compared, key=lambda entry: abs(np.log(max(entry["brute"]["estimate"], 1e-9) / COMPARED_AT)))
+    if (level := compared(found)) is not None:
         text += (
-            f"; beyond the level {nearest['level']:.3f} {of(nearest)}, by brute force {of(nearest['brute'])}; "
-            f"intervals {'overlap' if nearest['overlap'] else 'are apart'}"
+            f"; beyond the level {level['level']:.3f} {of(level)} by {level['evaluations']} episodes, by brute force "
+            f"{of(level['brute'])}; intervals {'overlap' if level['overlap'] else 'are apart'}"
         )
     for failure, entry in found["by_failure"].items():
         text += f"; {failure}: {of(entry)}"

@@ -131,20 +131,18 @@ class Resume(NetworkArguments):
         """Scenes, as many as a kind lacks starts in `done`: those that are run under both rules first."""
         begun, own = 0, job.world.resumption
         [other] = set(RESUMPTIONS) - {own}
-        while begun < len(seeds):
-            lacking = self.starts - min(counts(done, own))
-            if lacking <= 0:
-                return
+        while (lacking := self.starts - min(counts(done, own))) > 0 and begun < len(seeds):
             compared = min(self.compared, self.starts) - min(counts(done, other))
             rules = RESUMPTIONS if compared > 0 else (own,)
             wanted = min(lacking, compared) if compared > 0 else lacking
             count = min(-(-wanted // STARTS_A_SCENE), len(seeds) - begun)
             yield [SceneJob(replace(job, seed=seed), self.seed, rules) for seed in seeds[begun : begun + count]]
             begun += count
-        raise InputError(
-            f"{begun} scenes do not give {self.starts} starts of each kind: the network does its subtasks too seldom, "
-            "choose less --starts"
-        )
+        if lacking > 0:
+            raise InputError(
+                f"{begun} scenes do not give {self.starts} starts of each kind: the network does its subtasks too "
+                "seldom, choose less --starts"
+            )
 
     def _runs(self, job: Job, seeds: list[int], store: RowStore, pool: Pool) -> list["RunRow"]:
         """The disturbed runs."""

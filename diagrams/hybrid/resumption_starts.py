@@ -139,8 +139,6 @@ class Resumptions:
     ) -> tuple[int | None, bool | None]:
         """From `start`: ticks until the network has the arm, None beyond `limit`; and whether the subtask is done then.
 
-        `point`: of the episode that was looked at last.
-
         `reset`: whether the network starts anew at home. `finish`: ticks that the subtask has; 0: it is not run to its
         end, None, as without a resumption.
         """
@@ -187,16 +185,21 @@ class Resumptions:
         return monitor.success(cans, np.array(postures), gap)
 
     def _begin(self, point: SwitchingPoint, start: Start, reset: bool) -> None:
-        """Puts the switching point's state, with the start's memory and posture, into the simulator.
+        """Makes the simulator's Context the switching point's, with the start's memory and posture.
 
-        Its Context is that of the scene's episode still, and has the parameters: they hold the geometry too, so that to
-        clone a Context takes as long as 4 ticks.
+        All of it but the abstract parameters, which are Drake's and alike in every scene: to clone the geometry among
+        them takes as long as 4 ticks. The logs are emptied.
         """
-        root = self.simulator.get_mutable_context()
-        root.SetTime(point.context.get_time())
-        mine, kept = root.get_mutable_state(), point.context.get_state()
-        mine.get_mutable_discrete_state().SetFrom(kept.get_discrete_state())
-        mine.get_mutable_abstract_state().SetFrom(kept.get_abstract_state())
+        root, kept = self.simulator.get_mutable_context(), point.context
+        root.SetTime(kept.get_time())
+        state = root.get_mutable_state()
+        state.get_mutable_continuous_state().SetFrom(kept.get_state().get_continuous_state())
+        state.get_mutable_discrete_state().SetFrom(kept.get_state().get_discrete_state())
+        state.get_mutable_abstract_state().SetFrom(kept.get_state().get_abstract_state())
+        for i in range(kept.num_numeric_parameter_groups()):
+            root.get_mutable_numeric_parameter(i).SetFromVector(kept.get_numeric_parameter(i).value())
+        for sink in self.rollout.log.sinks:
+            sink.FindMutableLog(root).Clear()
         plant, station = self.rollout.station.plant, self.rollout.station
         local, grasp = plant.GetMyMutableContextFromRoot(root), plant.GetFrameByName("grasp")
         can = can_body(plant, CANS[0])
@@ -220,7 +223,6 @@ class Resumptions:
             self._network.GetMyMutableContextFromRoot(root), start.memory.hidden, start.memory.predicted,
             start.memory.recalled,
         )  # fmt: skip
-        tolerance = self._home_reset.GetMyContextFromRoot(point.context).get_numeric_parameter(0).value()
-        home = self._home_reset.GetMyMutableContextFromRoot(root)
-        self._home_reset.set_tolerance(home, tolerance if reset else -np.ones(ARM_JOINTS))
+        if not reset:
+            self._home_reset.set_tolerance(self._home_reset.GetMyMutableContextFromRoot(root), -np.ones(ARM_JOINTS))
         self.simulator.Initialize()

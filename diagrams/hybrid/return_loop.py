@@ -11,7 +11,7 @@ from pydrake.systems.primitives import PassThrough
 
 from diagrams.episodes.store import of_plain
 from diagrams.episodes.way_home import WayHome
-from diagrams.world.clearance_map import tell_of_cans
+from diagrams.world.clearance_map import ClearanceMap, tell_of_cans
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, CAN_HALF_HEIGHT, CANS
 from diagrams.world.station import PickPlaceStation, can_body, controller_limits
@@ -19,6 +19,7 @@ from diagrams.world.task import at_home
 from diagrams.world.trajectory import X_GRASP_CAN
 from diagrams.world.way_home_wiring import add_way_home
 from models.data.scaling import MinMaxScaling
+from systems.clearance_filter import WITHIN
 from systems.posture_history import PostureHistory
 from systems.regulated_mixer import RegulatedMixer
 
@@ -62,6 +63,7 @@ class Trajectory:
     name: str | None  # the model that was that near
     filtered: int  # ticks in which the filter changed the step
     slip: float | None = None  # of the held can in the hand, m; None: there is none
+    foot: float = WITHIN  # m: smallest distance of hand and held can to the arm's own foot, at the ticks, at most
     broke_off: str | None = None  # what Drake said where the simulation diverged
 
     def row(self) -> list[Any]:
@@ -87,8 +89,13 @@ class Trajectory:
 
     @property
     def touches(self) -> bool:
-        """Whether arm or held can touched something."""
-        return self.nearest is not None and self.nearest <= 0.0
+        """Whether arm or held can touched something, the arm's own foot too."""
+        return self.closest <= 0.0
+
+    @property
+    def closest(self) -> float:
+        """Smallest distance to anything, the arm's own foot too, m; at most WITHIN."""
+        return self.foot if self.nearest is None else min(self.nearest, self.foot)
 
     @property
     def free(self) -> bool:
@@ -127,6 +134,7 @@ class ReturnLoop:
         self._command = add_way_home(
             builder, world, self.station, posture, alpha.get_output_port(), desired, looks=True, regulated=True
         )
+        self._map = ClearanceMap(world)
         self._unfiltered = builder.GetSubsystemByName("acceleration_limit").get_output_port()
         builder.Connect(self._command, self.station.GetInputPort("desired_posture"))
         self.diagram = builder.Build()
@@ -142,6 +150,7 @@ class ReturnLoop:
         local, port = station.GetMyContextFromRoot(context), station.GetOutputPort("posture")
         home, steps = self.world.initial_posture[:ARM_JOINTS], round(period / self.world.timing.time_step)
         rows, arrived, way, filtered = [np.array(joints, dtype=float)], 0, WayHome(station, own=held), 0
+        foot = self._map.from_foot(port.Eval(local))
         for k in range(round(TIME_LIMIT / period)):
             try:
                 for step in range(1, steps + 1):
@@ -152,13 +161,17 @@ class ReturnLoop:
             except RuntimeError as error:
                 if "non-finite" not in str(error):
                     raise
-                return Trajectory(np.array(rows), way.nearest, way.name, filtered, None, " ".join(str(error).split()))
+                words = " ".join(str(error).split())
+                return Trajectory(np.array(rows), way.nearest, way.name, filtered, None, foot, words)
             filtered += not np.array_equal(self._value(context, self._command), self._value(context, self._unfiltered))
-            rows.append(port.Eval(local)[:ARM_JOINTS].copy())
+            posture = port.Eval(local).copy()
+            rows.append(posture[:ARM_JOINTS])
+            foot = min(foot, self._map.from_foot(posture))
             arrived += bool(at_home(rows[-1], home))
             if arrived > TICKS_AT_HOME:
                 break
-        return Trajectory(np.array(rows), way.nearest, way.name, filtered, self._slip(context) if held else None)
+        slip = self._slip(context) if held else None
+        return Trajectory(np.array(rows), way.nearest, way.name, filtered, slip, foot)
 
     def _value(self, context: Context, port: OutputPort) -> np.ndarray:
         return port.Eval(port.get_system().GetMyContextFromRoot(context))

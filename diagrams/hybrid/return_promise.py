@@ -25,20 +25,28 @@ def contractions(values: np.ndarray, at_home: float) -> tuple[np.ndarray, np.nda
 class Promise:
     """How V falls from the postures of one set, at least: see `first`, and by the factor `later` in each tick after."""
 
-    excess: float  # over the ideal rates
+    excess: float  # over the ideal rates, a tick, the safety factor included
     later: float
+    farthest: float  # the ideal factor of the first tick at most, from anywhere in the set
     apart: bool  # nothing is known of the first tick but that V does not rise
     calibrated: int  # free ways that it was measured on
 
     @classmethod
     def measured(
-        cls, values: Sequence[np.ndarray], ideal_first: Sequence[float], ideal: float, at_home: float, apart: bool
+        cls,
+        values: Sequence[np.ndarray],
+        ideal_first: Sequence[float],
+        ideal: float,
+        farthest: float,
+        at_home: float,
+        apart: bool,
     ) -> Self:
         """The ideal rates plus SAFETY_FACTOR times the largest excess over them, as long as V is above `at_home`.
 
         Args:
             values: V at the ticks of each free way.
-            ideal_first: of each of these, of its first tick; `ideal`: of all the others.
+            ideal_first: factor of each of these, of its first tick; ideal: of every other tick.
+            farthest: `ideal_first` at most, from anywhere in the set.
             apart: not of the first ticks, for which the promise is 1, that V does not rise: where far joints start
                 together their torques hold a near one back, by how much has a long tail.
 
@@ -61,16 +69,21 @@ class Promise:
                 f"the servo follows so badly that V would fall to {later:.3f} of itself a tick only: choose stiffer "
                 "world.servo gains, or a larger world.regulator.input_weight"
             )
-        return cls(excess, later, apart, len(values))
+        return cls(excess, later, farthest, apart, len(values))
 
     def first(self, ideal: np.ndarray) -> np.ndarray:
         """(n,) the factor of the first tick at most, from postures with these `ideal` ones (n,)."""
         return np.ones(len(ideal)) if self.apart else np.minimum(ideal + self.excess, 1.0)
 
-    def bound(self, ticks: int, first: float) -> np.ndarray:
-        """(ticks + 1,) V at most after each tick, from 1, with that factor in the first."""
-        return np.append(1.0, first * self.later ** np.arange(ticks))
+    @property
+    def slowest(self) -> float:
+        """`first` from anywhere in the set, at most."""
+        return float(self.first(np.array([self.farthest]))[0])
 
-    def ticks_home(self, at_home: float, first: float) -> int:
-        """After which V is at most `at_home`, from 1, with that factor in the first."""
-        return 1 + max(0, int(np.ceil(np.log(at_home / first) / np.log(self.later))))
+    def bound(self, ticks: int) -> np.ndarray:
+        """(ticks + 1,) V at most after each tick, from 1."""
+        return np.append(1.0, self.slowest * self.later ** np.arange(ticks))
+
+    def ticks_home(self, at_home: float) -> int:
+        """After which V is at most `at_home`, from 1."""
+        return 1 + max(0, int(np.ceil(np.log(at_home / self.slowest) / np.log(self.later))))

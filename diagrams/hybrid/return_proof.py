@@ -14,6 +14,7 @@ from diagrams.hybrid.return_samples import Sample
 KINDS = ("box", "onsets", "targets")  # of postures
 DRAWN = KINDS[1:]  # those of episodes: an onset and a target are of one draw
 LEAST_DISTANCE = 0.005  # m
+ROUNDING = 1e-9  # of a factor
 V_TOLERANCE = 1e-3  # of the level at home: V may rise by that much from tick to tick
 
 
@@ -50,11 +51,10 @@ def judge(
     held = np.array([sample.held for sample in samples], bool)
     dropped = np.array([way.dropped for way in ways], bool)
     touched = np.array([way.touches for way in ways], bool)
-    near = np.array([way.nearest is not None and way.nearest < LEAST_DISTANCE for way in ways], bool)
+    near = np.array([way.closest < LEAST_DISTANCE for way in ways], bool)
     arrivals = np.array([way.arrival(home) for way in ways], int)
     first = promise.first(ideal_first)
-    slowest = float(np.max(first, initial=promise.later))
-    certified = promise.ticks_home(at_home, slowest)
+    certified = promise.ticks_home(at_home)
     found = arrivals[arrivals >= 0]
 
     def counts(chosen: np.ndarray) -> dict[str, Any]:
@@ -74,14 +74,14 @@ def judge(
             **counted,
             "bounds": {name: bound(count, n) for name, count in counted.items()},
             "contraction_first_measured": max((rate for rate, _ in rates), default=0.0),
-            "contraction_first_over": max(over, default=-1.0),  # what is promised of that way; below 0: it is kept
+            "contraction_first_over": max(over, default=-1.0),  # the promise of its way; 0 or less: all kept
             "contraction_rate_measured": max((later for _, later in rates), default=0.0),
             "max_v_increase": float(max((np.max(np.diff(x), initial=-1.0) for x in v), default=-1.0)),
         }
 
-    by_name = Counter(str(way.name) for way in ways if way.touches)
+    by_name = Counter("foot" if way.foot <= 0.0 else str(way.name) for way in ways if way.touches)
     return {
-        "contraction_first": slowest,
+        "contraction_first": promise.slowest,
         "contraction_rate": promise.later,
         "calibrated_on": promise.calibrated,
         "time_home_certified_s": certified * period,
@@ -93,6 +93,7 @@ def judge(
         "free": counts(free),
         "touches": {name: by_name[name] for name in sorted(by_name)},
         "nearest_distance_m": min((way.nearest for way in ways if way.nearest is not None), default=None),
+        "nearest_foot_m": min((way.foot for way in ways), default=None),
         "held": int(held.sum()),
         "dropped": int(dropped.sum()),
         "dropped_free": int(np.sum(dropped & free)),
@@ -129,6 +130,7 @@ def total(sets: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "touches_inside": everything["touches"],
         "nearer_inside": everything["nearer"],
         "nearest_distance_m": box["nearest_distance_m"],
+        "nearest_foot_m": box["nearest_foot_m"],
         "broke_off": [words for found in sets.values() for words in found["broke_off"]],
         "contraction_rate": box["contraction_rate"],
         "contraction_rate_measured": free["contraction_rate_measured"],
@@ -152,7 +154,7 @@ def holds(report: dict[str, Any], least: float = LEAST_DISTANCE) -> bool:
         and found["free"]["samples"] > 0
         and found["free"]["later_than_certified"] == 0
         and found["free"]["max_v_increase"] <= found["v_tolerance"]
-        and found["free"]["contraction_first_over"] <= 0.0
+        and found["free"]["contraction_first_over"] <= ROUNDING
         and found["free"]["contraction_rate_measured"] <= found["contraction_rate"]
         for found in report["sets"].values()
     )

@@ -10,9 +10,12 @@ from diagrams.episodes.pool import Pool, kept_in_thread
 from diagrams.episodes.sampling import EpisodeSampler
 from diagrams.episodes.store import RowStore, of_plain
 from diagrams.hybrid.box_gauge import BoxGauge
+from diagrams.world.clearance_map import ClearanceMap
 from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, SPOTS
+
+APART = 0.01  # m
 
 
 @dataclass(frozen=True)
@@ -44,11 +47,12 @@ def box_samples(
     """`count` postures, uniform in the box, the can in the hand in every second.
 
     `border`: moved away from home onto the border of the box, where the steps are largest.
-    One in which the arm, or the can that it holds, is nearer than 1 cm to desk, shelf or a can is sampled again.
+    One in which the arm, or the can that it holds, is nearer than APART to desk, shelf, a can or its own foot is
+    sampled again.
     """
     from tqdm import tqdm
 
-    checker, home = CollisionChecker(world), world.initial_posture[:ARM_JOINTS]
+    checker, own, home = CollisionChecker(world, APART), ClearanceMap(world), world.initial_posture[:ARM_JOINTS]
     corner, opposite = world.grid.bounds
     samples: list[Sample] = []
     with tqdm(total=count, desc="postures in the box", leave=False, disable=None) as bar:
@@ -58,7 +62,8 @@ def box_samples(
             held = len(samples) % 2 == 1
             sample = Sample(tuple(joints.tolist()), (float(xy[0]), float(xy[1])), str(rng.choice(SPOTS)), held)
             checker.set_scene(None if held else sample.can_xy, sample.vacant)
-            if checker.first_touch(joints) is None:
+            posture = np.append(joints, world.closed_opening if held else world.opening)
+            if checker.first_touch(joints) is None and own.from_foot(posture) >= APART:
                 samples.append(sample)
                 bar.update()
     return samples

@@ -89,6 +89,7 @@ class _Scene:
         goals = [body for name, body in self.cans.items() if possible or name == CANS[0]]
         self.goals = np.array([int(body.index()) for body in goals], int)
         self.hand = np.array([int(plant.GetBodyByName(name).index()) for name in HAND])
+        self.foot = np.array([int(plant.GetBodyByName(name).index()) for name in FOOT])
         self.held = int(plant.GetBodyByName(HELD).index()) if held else None
         self.slip = world.clearance.slip
 
@@ -161,6 +162,13 @@ class ClearanceMap:
         poses = dict(zip(CANS, obstacles.reshape(len(CANS), POSE), strict=True))
         scene = self._scenes[closed and self._in_hand(posture, poses[CANS[0]])]
         return _View(scene, posture, 2 * CAN_RADIUS if closed else posture[ARM_JOINTS], returning, poses)
+
+    def from_foot(self, posture: np.ndarray) -> float:
+        """Hand and held can to the arm's own base and link 1, at `posture` (8, rad and m): m, at most WITHIN.
+
+        Of a map with `possible`.
+        """
+        return self.view(posture, np.empty(0)).from_foot(posture[:ARM_JOINTS])
 
     def _in_hand(self, posture: np.ndarray, pose: np.ndarray) -> bool:
         plant, context = self._scenes[False].plant, self._context
@@ -288,6 +296,12 @@ class _View:
         if not self._returning:
             there &= ~(np.isin(robot, scene.hand) & np.isin(other, scene.goals)) & (robot != scene.held)
         return Near(*(values[there] for values in vars(found).values()))
+
+    def from_foot(self, joints: np.ndarray) -> float:
+        """See `ClearanceMap`."""
+        found = self._query(joints, WITHIN)
+        pairs = np.array(np.divmod(found.pairs, self._scene.plant.num_bodies()))
+        return float(found.distances[np.isin(pairs, self._scene.foot).any(axis=0)].min(initial=WITHIN))
 
     def nearest(self, joints: np.ndarray, within: float, but: np.ndarray) -> float:
         """See `systems.clearance_filter.View`."""

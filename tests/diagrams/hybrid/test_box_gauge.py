@@ -67,6 +67,7 @@ def test_first_rates_by_hand():
 def test_the_first_step_from_rest_keeps_its_rate(d):
     step = np.clip(-GAUGE.gain * d, -GAUGE.first_step, GAUGE.first_step)
     assert GAUGE.value(d + step) <= GAUGE.first_rate(d) * GAUGE.value(d) + 1e-12
+    assert GAUGE.first_rate(d) <= GAUGE.farthest_first_rate + 1e-12
 
 
 def test_rates_by_hand():
@@ -87,6 +88,10 @@ def test_the_box_of_the_world(world, station):
     assert np.rad2deg(gauge.up[3]) == pytest.approx(20.0)  # 105 - 83 - 2 deg
     assert gauge.ideal_rate == pytest.approx(1 - 12 / 186)
     assert gauge.level_within(np.deg2rad(3.0)) == pytest.approx(2 / 185)
+    assert gauge.first_step == pytest.approx(np.full(7, 14.0 * 0.1**2))  # 8 deg, less than the speed allows
+    assert gauge.farthest_first_rate == pytest.approx(1 - np.rad2deg(0.14) / 186)
+    free = BoxGauge.of(replace(world, regulator=replace(world.regulator, acceleration=1e6)))
+    assert np.array_equal(free.first_step, free.max_step)
 
 
 def test_other_loops_are_not_certified(world):

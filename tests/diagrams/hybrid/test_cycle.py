@@ -29,7 +29,7 @@ RETURNED = {
     "coverage_targets": 0.98,
     "sets": {
         kind: {"all": PROVEN, "free": LQR_ALONE, "contraction_first": 1.0, "contraction_rate": math.exp(-0.1),
-               "nearest_distance_m": 0.009, "v_tolerance": 0.0}
+               "nearest_distance_m": 0.009, "nearest_foot_m": 0.15, "v_tolerance": 0.0}
         for kind in ("box", "onsets", "targets")
     },
 }  # fmt: skip

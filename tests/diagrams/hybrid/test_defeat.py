@@ -42,7 +42,7 @@ def test_report_by_hand():
     cases = [WITHSTOOD, LOST, TOPPLED, None]
     runs = [run(0.9, []), run(0.02, [(0, 0.9), (1, 0.02), (2, 0.08)]), run(0.02, [(0, 0.8), (1, 0.02), (2, 0.18)])]
     brute = [LOST, *[case(10 + i) for i in range(99)]]
-    found = defeat.report(runs, [cases] * 3, [WITHSTOOD, LOST, TOPPLED], brute, 4)
+    found = defeat.report(runs, [cases] * 3, [WITHSTOOD, LOST, TOPPLED], brute, 4, 1)
     assert found["estimate"] == pytest.approx(0.02)  # the pilot's is not used
     assert found["task"]["estimate"] == pytest.approx(0.15)
     assert (found["episodes"], found["evaluations"], found["defeats_found"]) == (3, 12, 1)
@@ -53,26 +53,41 @@ def test_report_by_hand():
     assert found["brute"]["estimate"] == 0.01
     assert (found["overlap"], found["brute"]["task"]["estimate"]) == (True, 0.01)
     assert len(found["repetitions"]) == 2
-    [above] = found["above"]  # the level 0.5, which 0.3 of each repetition and one case of brute force pass
-    assert (above["level"], above["estimate"], above["brute"]["estimate"]) == (0.5, pytest.approx(0.3), 0.01)
-    assert above["overlap"] is False
-    assert defeat.report(runs, [cases] * 3, [LOST], [LOST] * 50, 4)["overlap"] is False
-    alone = defeat.report(runs, [cases] * 3, [LOST], [], 4)
+    [above] = found["above"]  # the level 0.5, which 2 of the 8 of the repetitions and one case of brute force pass
+    assert (above["level"], above["estimate"], above["brute"]["estimate"]) == (0.5, 0.25, 0.01)
+    assert above["interval"] == pytest.approx([0.0319, 0.6509], abs=1e-4)  # Clopper and Pearson
+    assert (above["evaluations"], above["overlap"]) == (12, True)
+    assert defeat.report(runs, [cases] * 3, [LOST], [LOST] * 50, 4, 1)["overlap"] is False
+    alone = defeat.report(runs, [cases] * 3, [LOST], [], 4, 1)
     assert (alone["overlap"], alone["above"][0]["brute"], alone["above"][0]["overlap"]) == (None, None, None)
     assert "brute" not in defeat.words("B", alone)
     text = defeat.words("B", found)
     assert "2.00e-02" in text
     assert "25% of their ticks saved" in text
-    assert "intervals overlap" in text
-    assert "beyond the level 0.500 3.00e-01 [3.00e-01, 3.00e-01], by brute force 1.00e-02" in text
-    assert "intervals are apart" in text
+    assert "beyond the level 0.500 2.50e-01 [3.19e-02, 6.51e-01] by 12 episodes, by brute force 1.00e-02" in text
+    assert text.count("intervals overlap") == 2
     json.dumps(found)
+
+
+def test_levels_beside_brute_force_by_hand():
+    """Of 40 points in two repetitions 8 pass the first level, a fifth and a tenth of these the second."""
+    stages = [[Stage(0.3, 0.2, 0.4), Stage(0.6, share, 0.4)] for share in (0.2, 0.2, 0.1)]
+    runs = [Splitting(0.0, own, 60, True, 0.001, []) for own in stages]
+    brute = [case(i, level=0.7 if i < 50 else 0.5) for i in range(100)]
+    found = defeat.report(runs, [[WITHSTOOD]] * 3, [WITHSTOOD], brute, 20, 1)
+    first, second = found["above"]
+    assert (first["estimate"], first["evaluations"], first["brute"]["estimate"]) == (0.2, 60, 1.0)
+    assert (second["estimate"], second["evaluations"], second["brute"]["estimate"]) == (pytest.approx(0.03), 120, 0.5)
+    assert (first["overlap"], second["overlap"]) == (False, True)  # two repetitions say little of the second
+    assert defeat.compared(found) is second  # 0.03 is nearer to 1e-2 than 0.2
+    assert "beyond the level 0.600 3.00e-02" in defeat.words("A", found)
+    assert defeat.compared(defeat.report(runs, [[WITHSTOOD]] * 3, [WITHSTOOD], [], 20, 1)) is None
 
 
 def test_report_of_runs_that_end_with_the_resumption():
     """Their tasks are not judged, and false alarms that they had count nowhere."""
     cases = [replace(c, task_done=None) for c in (LOST, replace(WITHSTOOD, failure="switched again"))]
-    found = defeat.report([run(0.02, [(0, 0.02), (1, 0.98)])] * 3, [cases] * 3, cases, cases * 50, 2)
+    found = defeat.report([run(0.02, [(0, 0.02), (1, 0.98)])] * 3, [cases] * 3, cases, cases * 50, 2, 1)
     assert (found["task"], found["brute"]["task"], list(found["by_failure"])) == (None, None, ["not resumed"])
     assert found["brute"]["estimate"] == 0.5
     assert "task" not in defeat.words("A", found)

@@ -156,6 +156,26 @@ def test_real_start_has_the_can_in_the_hand_and_the_arm_on_its_way():
     assert cans[4:6] == pytest.approx(taken.can_xy, abs=2e-3)
 
 
+def test_real_start_is_the_same_whatever_was_looked_at_before():
+    """In the Context of another scene's episode, after a start under the other rule, as in a clone of its own."""
+    rollout = build_rollout(World(), WEIGHTS / ENCODER, Controller(WEIGHTS / "lstm.onnx"))
+    system = Resumptions(rollout, stored_calibration("recall", rollout.policy, WEIGHTS))
+    (pick, place), monitor = system.switching_points(EpisodeSampler(World()).sample(5_000_000, "none"))
+    start = Start.drawn("place", place, World(), rollout.policy, np.random.default_rng(1))
+
+    def resumed():
+        found = system.resume(place, start, monitor, reset=True, limit=60)
+        root = rollout.simulator.get_context()
+        return found, [root.get_discrete_state(i).value().tobytes() for i in range(root.num_discrete_state_groups())]
+
+    rollout.simulator.reset_context(place.context.Clone())
+    own = resumed()
+    system.switching_points(EpisodeSampler(World()).sample(5_000_003, "none"))
+    other = Start.drawn("pick", pick, World(), rollout.policy, np.random.default_rng(2))
+    system.resume(pick, other, monitor, reset=False, limit=5)
+    assert resumed() == own
+
+
 def test_real_t_falls_by_one_a_tick_in_the_whole_system():
     """And the system resumes when it is 0."""
     rollout = build_rollout(World(resumption="reset"), WEIGHTS / ENCODER, Controller(WEIGHTS / "lstm.onnx"))
@@ -212,6 +232,11 @@ def test_program(tmp_path, monkeypatch):
     assert found["rules"]["reset"]["pick"]["not_resumed"] == 40
     assert found["scenes"] == {"seen": 4, "without": {"pick": 0, "place": 1, "can taken": 1}}
     assert [call.split(" ", 2)[2] for call in calls] == ["reset imagined"] * 3 + ["reset"]
+    # Those under both rules first, then all that are lacking at once.
+    calls.clear()
+    asked = [*asked[:3], "--starts", "60", "--compared", "15", *asked[7:], "--out", str(tmp_path / "other")]
+    assert analysis.main(analysis.parse(asked)) == 1
+    assert [call.split(" ", 2)[2] for call in calls] == ["reset imagined"] + ["reset"] * 4
     assert (tmp_path / "out" / "resume.png").is_file()
     assert not list((tmp_path / "out").glob("*.jsonl"))
 

@@ -108,6 +108,19 @@ def test_the_first_step_is_the_regulators(loop, world):
     assert step == pytest.approx(-0.095, abs=0.012)  # nine tenths of 0.1 at least
 
 
+def test_the_first_step_from_far_is_the_cut_one(loop, world):
+    """A target of A of `analysis.py return --seed 3`: joint 4 is 89 degrees off, and starts with 8 instead of 8.9."""
+    home, gauge = world.initial_posture[:7], BoxGauge.of(world)
+    start = np.array([-0.394792, 0.655070, 0.393826, -0.101512, 0.062143, 1.311783, 0.517091])
+    rate = gauge.first_rate(start - home)
+    assert rate == pytest.approx(0.9087, abs=1e-4)
+    way = loop.run(start, np.array([0.618, -0.045]), "right")
+    v = gauge.value(way.rows - home)
+    assert way.free
+    assert rate < v[1] / v[0] < rate + 0.015  # the servo executes nine tenths of it
+    assert v[2] / v[1] < 0.915  # in the next one nothing is cut
+
+
 def test_a_held_can_comes_home_in_the_hand(loop, world):
     start = world.initial_posture[:7] + np.array([0.4, 0.1, 0.2, -0.2, 0.0, -0.1, 0.2])
     way = loop.run(start, CAN, "left", held=True)

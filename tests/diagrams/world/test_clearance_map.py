@@ -243,6 +243,12 @@ def test_the_hand_keeps_away_from_the_arms_own_foot(possible):
     folded = np.deg2rad([-78.0, 105.0, 2.0, 105.0, 7.0, 90.0, -149.0])
     assert nearest(possible, folded, OPEN) < -0.02
     assert nearest(possible, HOME[:ARM_JOINTS], OPEN, within=0.14) == 0.14
+    assert possible.from_foot(np.append(folded, OPEN)) == nearest(possible, folded, OPEN)
+    assert possible.from_foot(HOME) == WITHIN
+    # Another distance is none to the foot: the hand is in the desk.
+    low = np.deg2rad([0.0, 100.0, 0.0, 40.0, 0.0, 0.0, 0.0])
+    assert nearest(possible, low, OPEN) < 0.0
+    assert possible.from_foot(np.append(low, OPEN)) == WITHIN
 
 
 @pytest.mark.parametrize("cans", ["possible", "known"])
