@@ -15,6 +15,7 @@ RESOLUTION = 0.01  # the proof of a step ends where it comes that near to the le
 PRESENT, OF_LESS = 0.9, 0.5
 MOST_PIECES = 50  # of one step's proof
 PROGRESS = 0.1  # dm' . dm of dm . dm, at least, by which margins are kept
+SLOW = 0.3  # the same, at least: else a change is counted otherwise
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,9 @@ class ClearanceFilter(LeafSystem):
             barrier function (Agrawal and Sreenath, RSS 2017). Nearest is counted by how far a joint can move the
             arm: the least sum_j (reach_j (dm'_j - dm_j))^2, so that the hand rather turns than the arm stops. Where
             that dm' makes less than PROGRESS of the way along dm, in rad, the margins are given up: they must not
-            keep the arm from home. The other components pass.
+            keep the arm from home; where it makes less than SLOW of it, reach_j^2 counts in the place of reach_j:
+            a hand between two things rather turns farther, even back, than it holds the arm there for ever.
+            The other components pass.
         clearance: (1,) m, the smallest distance at m_k, at most WITHIN; computed only where it is pulled.
 
     Where no dm' does, since something pushes from the other side, the nearest one by which no pair within the gap comes
@@ -163,6 +166,13 @@ class ClearanceFilter(LeafSystem):
 
     def _kept_away(self, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`step` (J,) where it keeps the distances, else the one nearest to it that does; see the class."""
+        found = self._nearest(near, joints, step, self._weight)
+        if found is step or found @ step >= SLOW * (step @ step):
+            return found
+        return self._nearest(near, joints, step, self._weight**2)
+
+    def _nearest(self, near: Near, joints: np.ndarray, step: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """As `_kept_away`; `weight` (J, J): by which a change is counted."""
         bound = -self._rate * (near.distances - self._gap)
         ways = [(bound, -np.inf), (np.minimum(bound, 0.0), -np.inf)]  # 0 keeps the second
         if near.margins.any():
@@ -174,7 +184,7 @@ class ClearanceFilter(LeafSystem):
                 return step
             program = MathematicalProgram()
             dm = program.NewContinuousVariables(self._joints)
-            program.AddQuadraticErrorCost(self._weight, step, dm)
+            program.AddQuadraticErrorCost(weight, step, dm)
             program.AddBoundingBoxConstraint(lower, upper, dm)
             program.AddLinearConstraint(near.jacobians, least, np.full(len(least), np.inf), dm)
             result = ClarabelSolver().Solve(program)

@@ -62,8 +62,9 @@ class Cycle(Arguments):
             if len(set(of.values())) > 1:
                 differ = ", ".join(f"{what} {code}" for what, code in of.items())
                 print(f"warning: the reports differ in {name}: {differ}", file=sys.stderr)
-        failed = any(arrow["failures"] for arrow in found["arrows"]) or not found["certificate_holds"]
-        return 1 if failed or not all(found[name]["agrees"] for name in FORETOLD) else 0
+        if reasons := against(found):
+            print(f"exit code 1: {'; '.join(reasons)}")
+        return 1 if reasons else 0
 
     def _read(self, name: str) -> dict[str, Any]:
         path = self.out / f"{name}.json"
@@ -270,6 +271,18 @@ def _dwell(returned: dict[str, Any], disturbed: Sequence[dict[str, Any]]) -> dic
         if stays else None
     )  # fmt: skip
     return {"mu": mu, "bounds": bounds, "measured_s": measured}
+
+
+def against(found: dict[str, Any]) -> list[str]:
+    """What speaks against the cycle, in words; empty where the reports and the sweep bear it out."""
+    reasons = [f"failures of the arrow '{arrow['name']}'" for arrow in found["arrows"] if arrow["failures"]]
+    if not found["certificate_holds"]:
+        reasons.append("the certificate of `return` does not hold")
+    for name in FORETOLD:
+        if not found[name]["agrees"]:
+            seen = "is not seen in the sweep" if found[name]["p"] is None else "fails more often in the sweep"
+            reasons.append(f"what is foretold of '{name.replace('_', ' ')}' {seen}")
+    return reasons
 
 
 def table(found: dict[str, Any]) -> str:

@@ -30,10 +30,19 @@ def test_barrier_by_hand():
 
 
 def test_the_change_is_measured_by_how_far_the_joints_can_move_the_arm():
-    # Across the wall 0.027 of 0.1 are left. What is taken away is in the ratio of 0.6 / 2^2 to 0.8 / 1^2, not 0.6 to
+    # Across the wall 0.027 of 0.075 are left. What is taken away is in the ratio of 0.6 / 2^2 to 0.8 / 1^2, not 0.6 to
     # 0.8: the joint that moves the arm less gives way more.
     walls = Walls(((-0.6, -0.8), -0.1), reach=(2.0, 1.0))
-    np.testing.assert_allclose(filtered(walls, [0.0, 0.0], [0.06, 0.08])[:2], [0.045, 0.0], atol=1e-6)
+    np.testing.assert_allclose(filtered(walls, [0.0, 0.0], [0.045, 0.06])[:2], [0.035137, 0.007397], atol=1e-6)
+
+
+def test_where_little_of_the_way_is_left_the_reach_counts_twice():
+    # Across the wall 0.027 of 0.5 are left. With the weights 4 and 1, (0.203, -0.118), 5 % of the way along the step is
+    # made; so it is 16 and 1.
+    walls = Walls(((-0.6, -0.8), -0.1), reach=(2.0, 1.0))
+    np.testing.assert_allclose(filtered(walls, [0.0, 0.0], [0.3, 0.4])[:2], [0.27322, -0.17117], atol=1e-5)
+    # With more of it along the wall nearly all is made: 4 and 1, as ever.
+    np.testing.assert_allclose(filtered(walls, [0.0, 0.0], [0.33, -0.06])[:2], [0.304726, -0.194795], atol=1e-5)
 
 
 def test_a_margin_is_kept_beyond_the_gap_and_the_proof_does_without():

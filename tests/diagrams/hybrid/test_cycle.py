@@ -9,7 +9,7 @@ import pytest
 from diagrams import analysis
 from diagrams.episodes.store import RowStore
 from diagrams.hybrid.common import fingerprint_with_analyses
-from diagrams.hybrid.cycle import report, require_one_world, table
+from diagrams.hybrid.cycle import against, report, require_one_world, table
 from diagrams.hybrid.cycle_sweep import DRAWN
 from models.errors import InputError
 
@@ -148,6 +148,18 @@ def test_a_way_of_the_sweep_that_touches_something_has_failed():
     assert found["agrees"] is False
 
 
+def test_what_speaks_against_the_cycle_is_told():
+    found = report(RETURNED, RESUMED, [*ROWS, row("B", resumed=False)]) | {"certificate_holds": False}
+    said = against(found)
+    assert said[:2] == ["failures of the arrow 'guard'", "failures of the arrow 'return set'"]
+    assert said[-2:] == [
+        "the certificate of `return` does not hold", "what is foretold of 'resumption' fails more often in the sweep",
+    ]  # fmt: skip
+    calm = found | {"arrows": [], "certificate_holds": True, "resumption": {"agrees": None, "p": None}}
+    assert against(calm) == ["what is foretold of 'resumption' is not seen in the sweep"]
+    assert against(calm | {"resumption": {"agrees": True, "p": 1.0}}) == []
+
+
 def test_of_no_runs_nothing_agrees():
     rows = [row("none"), *[row(kind, delay=None, returned=False, resumed=False, back=(None, None)) for kind in "AB"]]
     found = report(RETURNED, RESUMED, rows)
@@ -272,6 +284,7 @@ def test_program(tmp_path, capsys, world):
     assert (found["policy"], found["sweep"], found["codes"]["code"]["resume"]) == ("ours", str(tmp_path), "2")
     said = capsys.readouterr()
     assert "dwell time" in said.out
+    assert "exit code 1: failures of the arrow" in said.out
     assert "warning: the reports differ in code: the world" in said.err
     (tmp_path / "return.json").write_text(json.dumps(RETURNED | {"fingerprint": own, "draws_outside": 0}))
     calm = RESUMED | {"fingerprint": own, "rules": {"reset": {"pick": entry(15, 0, 1, 0)}}}
