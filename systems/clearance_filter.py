@@ -15,7 +15,8 @@ RESOLUTION = 0.01  # the proof of a step ends where it comes that near to the le
 PRESENT, OF_LESS = 0.9, 0.5
 MOST_PIECES = 50  # of one step's proof
 PROGRESS = 0.1  # dm' . dm of dm . dm, at least, by which margins are kept
-SLOW = 0.3  # the same, at least: else a change is counted otherwise
+SLOW = 0.3  # the same, at least: else a change is counted otherwise, if by that the arm moves no less than
+NOT_SHORTER = 0.5  # of as far
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,10 @@ class ClearanceFilter(LeafSystem):
             barrier function (Agrawal and Sreenath, RSS 2017). Nearest is counted by how far a joint can move the
             arm: the least sum_j (reach_j (dm'_j - dm_j))^2, so that the hand rather turns than the arm stops. Where
             that dm' makes less than PROGRESS of the way along dm, in rad, the margins are given up: they must not
-            keep the arm from home; where it makes less than SLOW of it, reach_j^2 counts in the place of reach_j:
-            a hand between two things rather turns farther, even back, than it holds the arm there for ever.
-            The other components pass.
+            keep the arm from home. Where it makes less than SLOW of it, reach_j^2 stands for reach_j, if that dm' is
+            not much shorter: the arm's own joints keep their step and the wrist yields, even backwards. So a hand comes
+            out from between two things where else it stands; that it never stands is not proven. The other components
+            pass.
         clearance: (1,) m, the smallest distance at m_k, at most WITHIN; computed only where it is pulled.
 
     Where no dm' does, since something pushes from the other side, the nearest one by which no pair within the gap comes
@@ -166,35 +168,47 @@ class ClearanceFilter(LeafSystem):
 
     def _kept_away(self, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`step` (J,) where it keeps the distances, else the one nearest to it that does; see the class."""
-        found = self._nearest(near, joints, step, self._weight)
-        if found is step or found @ step >= SLOW * (step @ step):
-            return found
-        return self._nearest(near, joints, step, self._weight**2)
-
-    def _nearest(self, near: Near, joints: np.ndarray, step: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """As `_kept_away`; `weight` (J, J): by which a change is counted."""
         bound = -self._rate * (near.distances - self._gap)
         ways = [(bound, -np.inf), (np.minimum(bound, 0.0), -np.inf)]  # 0 keeps the second
         if near.margins.any():
             ways.insert(0, (bound + self._rate * near.margins, PROGRESS * (step @ step)))
-        lower = np.maximum(-self._max_step, np.minimum(self._lower[: self._joints] - joints, 0.0))
-        upper = np.minimum(self._max_step, np.maximum(self._upper[: self._joints] - joints, 0.0))
         for least, progress in ways:
             if np.all(near.jacobians @ step >= least):
                 return step
-            program = MathematicalProgram()
-            dm = program.NewContinuousVariables(self._joints)
-            program.AddQuadraticErrorCost(weight, step, dm)
-            program.AddBoundingBoxConstraint(lower, upper, dm)
-            program.AddLinearConstraint(near.jacobians, least, np.full(len(least), np.inf), dm)
-            result = ClarabelSolver().Solve(program)
-            if result.is_success() and (found := result.GetSolution(dm)) @ step >= progress:
-                return found
+            found = self._nearest(near.jacobians, least, joints, step, self._weight)
+            if found is None or found @ step < progress:
+                continue
+            if found @ step < SLOW * (step @ step):
+                other = self._nearest(near.jacobians, least, joints, step, self._weight**2)
+                if other is not None and self._travel(other) >= NOT_SHORTER * self._travel(found):
+                    return other
+            return found
         return np.zeros(self._joints)
+
+    def _nearest(
+        self, jacobians: np.ndarray, least: np.ndarray, joints: np.ndarray, step: np.ndarray, weight: np.ndarray
+    ) -> np.ndarray | None:
+        """The dm (J,) within the limits, jacobians (n, J) . dm >= least (n,), that is nearest to `step` by `weight`.
+
+        `weight`: (J, J). None where the solver finds none.
+        """
+        lower = np.maximum(-self._max_step, np.minimum(self._lower[: self._joints] - joints, 0.0))
+        upper = np.minimum(self._max_step, np.maximum(self._upper[: self._joints] - joints, 0.0))
+        program = MathematicalProgram()
+        dm = program.NewContinuousVariables(self._joints)
+        program.AddQuadraticErrorCost(weight, step, dm)
+        program.AddBoundingBoxConstraint(lower, upper, dm)
+        program.AddLinearConstraint(jacobians, least, np.full(len(least), np.inf), dm)
+        result = ClarabelSolver().Solve(program)
+        return result.GetSolution(dm) if result.is_success() else None
+
+    def _travel(self, step: np.ndarray) -> float:
+        """m: no point of the arm moves farther in `step` (J,)."""
+        return float(self._map.reach @ np.abs(step))
 
     def _proven(self, view: View, near: Near, joints: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`step` (J,) where all of it is proven to keep the least distance, else the part of it that is."""
-        travel = float(self._map.reach @ np.abs(step))  # of the arm's fastest point
+        travel = self._travel(step)
         overlapping = near.pairs[near.distances <= 0.0]
         nearest = near.distances[near.distances > 0.0].min(initial=WITHIN)
         kept = PRESENT if nearest >= self._least else OF_LESS

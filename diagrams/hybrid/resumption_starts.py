@@ -187,8 +187,8 @@ class Resumptions:
     def _begin(self, point: SwitchingPoint, start: Start, reset: bool) -> None:
         """Makes the simulator's Context the switching point's, with the start's memory and posture.
 
-        All of it but the abstract parameters, which are Drake's and alike in every scene: to clone the geometry among
-        them takes as long as 4 ticks. The logs are emptied.
+        All of it but the abstract parameters, which are Drake's own (a rollout with a person's hands has others) and
+        alike in every scene: to clone the geometry among them takes as long as 4 ticks. The logs are emptied.
         """
         root, kept = self.simulator.get_mutable_context(), point.context
         root.SetTime(kept.get_time())

@@ -151,6 +151,7 @@ def holds(report: dict[str, Any], least: float = LEAST_DISTANCE) -> bool:
         and found["all"]["left_box"] == 0
         and found["all"]["touches"] == 0
         and (found["nearest_distance_m"] is None or found["nearest_distance_m"] >= least)
+        and (found["nearest_foot_m"] is None or found["nearest_foot_m"] >= least)
         and found["free"]["samples"] > 0
         and found["free"]["later_than_certified"] == 0
         and found["free"]["max_v_increase"] <= found["v_tolerance"]

@@ -45,6 +45,35 @@ def test_where_little_of_the_way_is_left_the_reach_counts_twice():
     np.testing.assert_allclose(filtered(walls, [0.0, 0.0], [0.33, -0.06])[:2], [0.304726, -0.194795], atol=1e-5)
 
 
+def test_the_other_weight_does_not_stop_the_arm():
+    # At the gap. With the weights 4 and 1 a quarter of the way is left, with 16 and 1 nothing.
+    walls = Walls(((-1.6, -0.08), -GAP), reach=(2.0, 1.0))
+    got = filtered(walls, [0.0, 0.0], [0.1, 0.08])[:2]
+    assert -1.6 * got[0] - 0.08 * got[1] == pytest.approx(0.0, abs=1e-6)
+    np.testing.assert_allclose(got, [-0.00297, 0.05941], atol=1e-5)
+
+
+def test_the_other_weight_keeps_the_margin_that_the_first_one_kept():
+    # 5 mm nearer than gap and margin ask for: 0.3 of that come back, with a tenth of the way along the step.
+    normal = np.array([-0.493, -0.082])
+    walls = Walls((normal, -0.0554), reach=(2.0, 1.0), margin=0.05)
+    got = filtered(walls, [0.0, 0.0], [0.1, 0.1])[:2]
+    assert normal @ got == pytest.approx(0.3 * 0.0046, abs=1e-6)
+
+
+def test_where_the_second_solution_fails_the_first_one_holds(monkeypatch):
+    solver, calls = clearance_filter.ClarabelSolver(), []
+
+    def solve(program):
+        calls.append(program)
+        return solver.Solve(program) if len(calls) == 1 else SimpleNamespace(is_success=lambda: False)
+
+    monkeypatch.setattr(clearance_filter, "ClarabelSolver", lambda: SimpleNamespace(Solve=solve))
+    walls = Walls(((-0.6, -0.8), -0.1), reach=(2.0, 1.0))
+    np.testing.assert_allclose(filtered(walls, [0.0, 0.0], [0.3, 0.4])[:2], [0.20281, -0.11836], atol=1e-4)
+    assert len(calls) == 2
+
+
 def test_a_margin_is_kept_beyond_the_gap_and_the_proof_does_without():
     # 0.07 beyond gap and margin: 0.3 of that. The margin itself may be lost where a step is farther than what is seen.
     np.testing.assert_allclose(

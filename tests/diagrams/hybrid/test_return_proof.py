@@ -110,6 +110,7 @@ def test_the_arms_own_foot_is_something_too():
         assert (found["nearest_foot_m"], found["all"]["touches"], found["all"]["nearer"]) == (foot, touches, nearer)
         assert found["touches"] == ({"foot": 1} if touches else {})
         assert found["free"]["samples"] == 1 - touches
+        assert holds({"sets": {"box": found}}) is (foot == 0.15)
     assert replace(trajectory, nearest=None, foot=-0.001).touches
 
 
