@@ -94,7 +94,8 @@ class Defeat(NetworkArguments):
         for kind, entry in found.items():
             print(words(kind, entry["report"]))
         reports = [entry["report"] for entry in found.values()]
-        apart = any(part["overlap"] is False for entry in reports for part in (entry, compared(entry) or entry))
+        comparisons = [part for entry in reports for part in (entry, compared(entry)) if part is not None]
+        apart = any(part["overlap"] is False for part in comparisons)
         return 1 if apart or any(entry["same_bits"]["same"] < entry["same_bits"]["of"] for entry in reports) else 0
 
     def _of_kind(self, kind: str, world: World, cases: Cases, rnn: str) -> dict[str, Any]:
@@ -226,7 +227,8 @@ def report(
 def _above(runs: Sequence[Splitting], population: int, moves: int, brute: Sequence[Case]) -> list[dict[str, Any]]:
     """How probable it is to come beyond each level of the pilot that some repetition passed; see `report`.
 
-    With what it took, the pilot included, and brute force beside it, which sees levels where it sees no defeat.
+    With what it takes to get there, the pilot included, and brute force beside it, which sees levels where it sees no
+    defeat. The share is of points, those that make no episode included; of brute force it is of episodes.
     """
     found, repetitions = [], runs[1:]
     drawn, smallest = population * len(repetitions), [run.smallest for run in repetitions]
@@ -234,7 +236,7 @@ def _above(runs: Sequence[Splitting], population: int, moves: int, brute: Sequen
         passed = [above_level(run, number) for run in repetitions]
         if not any(passed):
             continue
-        # Of the first level all points are independent, and their law is known.
+        # Beyond the first level the points are independent, so that the count is binomial.
         count = round(population * sum(passed))
         by_splitting = of_repetitions(passed, smallest, drawn) if number else of_count(count, drawn)
         evaluations = len(runs) * population * (1 + moves * number)

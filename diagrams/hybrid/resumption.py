@@ -128,7 +128,7 @@ class Resume(NetworkArguments):
         return chosen, {"seen": len(done), "without": without}
 
     def _batches(self, job: Job, seeds: list[int], done: list[list["Row"]]) -> Iterator[list["SceneJob"]]:
-        """Scenes, as many as a kind lacks starts in `done`: those that are run under both rules first."""
+        """Scenes, as many as the kind that lacks most in `done` still needs: those under both rules first."""
         begun, own = 0, job.world.resumption
         [other] = set(RESUMPTIONS) - {own}
         while (lacking := self.starts - min(counts(done, own))) > 0 and begun < len(seeds):

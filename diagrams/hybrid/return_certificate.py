@@ -102,7 +102,7 @@ def make_certificate(
         return Promise.measured(values, first, ideal, farthest, at_home, apart)
 
     onsets, targets = drawn_samples(world, seeds, pool, store, "calibration")
-    # The speed clamps steps of joint 1 alone, beyond 120 degrees, and A moves it 40 off the learned motion at most.
+    # Only joint 1 reaches so far that its speed clamps a step, beyond 120 degrees: A moves it by 40 at most.
     drawn = measured(onsets + targets, 1.0 - gauge.gain, apart=False)
     box = measured(box_samples(world, gauge, samples, rng, border=True), gauge.ideal_rate, apart=True)
     return Certificate(gauge, at_home, {"box": box, "onsets": drawn, "targets": drawn})

@@ -94,7 +94,7 @@ class Trajectory:
 
     @property
     def closest(self) -> float:
-        """Smallest distance to anything, the arm's own foot, looked at in the ticks, too; m, at most WITHIN."""
+        """The smaller of `nearest` and `foot`, m; each is known up to the limit of its own."""
         return self.foot if self.nearest is None else min(self.nearest, self.foot)
 
     @property

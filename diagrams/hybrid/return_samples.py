@@ -15,7 +15,7 @@ from diagrams.world.collisions import CollisionChecker
 from diagrams.world.configuration import World
 from diagrams.world.names import ARM_JOINTS, SPOTS
 
-APART = 0.01  # m
+APART = 0.01  # m: a posture nearer to something is no sample
 
 
 @dataclass(frozen=True)
